@@ -10,6 +10,10 @@ PIP_ARGS ?=
 
 STAMP := $(VENV)/.installed
 BIN := $(VENV)/bin
+# Compiled once for all processes, experiments' and tests'; beside the caches, so that it goes when they go.
+COMPILED := envs/headway_envs/__pycache__/.compiled
+KERNELS := $(wildcard platform/headway/contracts/numba_setup.py algos/headway_algos/kernels/*.py \
+	envs/headway_envs/*.py envs/headway_envs/*/kernel.py envs/headway_envs/*/kernel/*.py)
 SOURCES := platform envs algos launch tests
 # Side by side, one file of tests in one process, long files first (tests/conftest.py); ARGS="-n 0" tests in this one, where a debugger works.
 PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
@@ -23,7 +27,7 @@ help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' Makefile
 	@echo 'for example: make experiment CONFIG=bus_mappo ARGS="seed=0..4 algo.lr=3e-4"'
 
-setup: $(STAMP) ## make the virtual environment .venv, with the versions in constraints.txt
+setup: $(COMPILED) ## make the virtual environment .venv, with the versions in constraints.txt, and compile the kernels
 
 $(STAMP): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "make: no python3 found; install Python 3.11" >&2; exit 1; }
@@ -33,10 +37,14 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e ".[dev,sumo]"
 	@touch $@
 
-experiment: $(STAMP) ## train one experiment: CONFIG=bus_mappo ARGS="key=value ..."
+$(COMPILED): $(STAMP) $(KERNELS)
+	@$(BIN)/python -m headway_launch.runner.warm_up
+	@mkdir -p $(@D) && touch $@
+
+experiment: $(COMPILED) ## train one experiment: CONFIG=bus_mappo ARGS="key=value ..."
 	@$(BIN)/headway run experiment=$(CONFIG) $(ARGS)
 
-sweep: $(STAMP) ## train one experiment over many seeds: CONFIG=bus_mappo SEEDS=0..9
+sweep: $(COMPILED) ## train one experiment over many seeds: CONFIG=bus_mappo SEEDS=0..9
 	@$(BIN)/headway sweep experiment=$(CONFIG) seed=$(SEEDS) $(ARGS)
 
 # One thread a process: more of them only wait for each other on busy cores.
@@ -44,11 +52,11 @@ test check: export OMP_NUM_THREADS = 1
 test check: export OPENBLAS_NUM_THREADS = 1
 test check: export MKL_NUM_THREADS = 1
 
-test: $(STAMP) ## run the tests that take little time: those without a mark
+test: $(COMPILED) ## run the tests that take little time: those without a mark
 	@$(PYTEST) -m "not slow and not cluster and not browser and not data" $(ARGS)
 	@echo "left out: tests marked slow, cluster, browser or data (pyproject.toml says which); make check runs all"
 
-check: $(STAMP) ## formatting, lint, types and all tests; those that need Chromium, Slurm or data skip without
+check: $(COMPILED) ## formatting, lint, types and all tests; those that need Chromium, Slurm or data skip without
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/mypy
@@ -64,10 +72,10 @@ format: $(STAMP) ## format the code
 types: $(STAMP) ## check the types
 	@$(BIN)/mypy
 
-benchmarks: $(STAMP) ## measure the speed of this machine's installation
+benchmarks: $(COMPILED) ## measure the speed of this machine's installation
 	@$(BIN)/python -m benchmarks $(ARGS)
 
-notebooks: $(STAMP) ## open the notebooks in JupyterLab; the first one trains a small study
+notebooks: $(COMPILED) ## open the notebooks in JupyterLab; the first one trains a small study
 	@$(BIN)/jupyter lab --notebook-dir=notebooks $(ARGS)
 
 browse: $(STAMP) ## serve the store of runs in MLflow's pages

@@ -8,7 +8,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
-from functools import partial
+from functools import cache, partial
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from types import ModuleType
@@ -57,6 +57,7 @@ LAYERS = {
         "batches",
         "networks",
         "acting",
+        "kernels",
     ),
     "headway_launch": ("commands", "report", "studies", "runner", "experiments", "console"),
 }
@@ -70,9 +71,14 @@ TESTS_OF = {
 HEAVY = ("torch", "mlflow", "hydra", "omegaconf", "pandas", "numba", "pyarrow", "codecarbon", "matplotlib")
 
 
+@cache
+def _parsed(file: Path) -> ast.Module:
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
 def imports_of(file: Path, lazy: bool = True) -> Iterator[str]:
     """Absolute names of the modules a file imports; `lazy` takes in those inside functions."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
+    tree = _parsed(file)
     for node in ast.walk(tree) if lazy else _run_at_import(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -138,17 +144,12 @@ def test_only_algorithms_import_torch_before_it_is_needed() -> None:
     assert wrong == []
 
 
-@pytest.mark.parametrize(
-    "statement",
-    [
-        "import sys; from headway_launch.commands.main import run; run(['--help'])",
-        "import sys; from headway_launch.commands.main import run; run(['run', '--help'])",
-        "import sys; from headway_launch.commands.main import run; run(['runs', '--help'])",
-        "import sys; from headway_launch.commands.main import run; run(['report', '--help'])",
-    ],
-)
-def test_help_imports_nothing_heavy(statement: str) -> None:
-    code = f"{statement}; print([name for name in {HEAVY} if name in sys.modules])"
+def test_help_imports_nothing_heavy() -> None:
+    asked = [["--help"], ["run", "--help"], ["runs", "--help"], ["report", "--help"]]
+    code = (
+        "import sys; from headway_launch.commands.main import run; "
+        f"[run(words) for words in {asked}]; print([name for name in {HEAVY} if name in sys.modules])"
+    )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.splitlines()[-1] == "[]"
 
@@ -159,11 +160,11 @@ def test_the_registry_of_algorithms_imports_no_torch() -> None:
     assert shown.stdout.strip() == "False"
 
 
+@cache
 def imported_modules(module: str) -> set[str]:
     """Modules of the project that a module imports, those that only type checking needs excepted."""
     found = set()
-    tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))
-    for node in _without_type_checking(tree):
+    for node in _without_type_checking(_parsed(MODULES[module])):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:

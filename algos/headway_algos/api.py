@@ -7,46 +7,55 @@ updates do, when they are first used.
 from typing import TYPE_CHECKING
 
 from headway.contracts.lazy import lazy_attributes
+from headway_algos.components import Component
 from headway_algos.config import AlgoConfig, ModelConfig
-from headway_algos.registry import ENTRIES
+from headway_algos.on_policy.critics.config import CriticConfig
+from headway_algos.on_policy.updates.config import GradientConfig, StepConfig
+from headway_algos.recipe import Recipe
+from headway_algos.registry import ENTRIES, configure, entry
 
 if TYPE_CHECKING:
     from headway_algos.networks.distributions import Distribution
     from headway_algos.on_policy.critics import Critic
     from headway_algos.on_policy.updates import Update
-    from headway_algos.on_policy.updates.a2c import A2C
     from headway_algos.on_policy.updates.gradient_update import GradientUpdate
     from headway_algos.on_policy.updates.kfac import KFAC
-    from headway_algos.on_policy.updates.policy_loss import Minibatch, PolicyLoss
-    from headway_algos.on_policy.updates.ppo import PPO
+    from headway_algos.on_policy.updates.losses import A2CLoss, Minibatch, PolicyLoss, PPOLoss
     from headway_algos.on_policy.updates.trpo import TRPO
 
 __all__ = [
-    "A2C",
     "ENTRIES",
     "KFAC",
-    "PPO",
     "TRPO",
+    "A2CLoss",
     "AlgoConfig",
+    "Component",
     "Critic",
+    "CriticConfig",
     "Distribution",
+    "GradientConfig",
     "GradientUpdate",
     "Minibatch",
     "ModelConfig",
+    "PPOLoss",
     "PolicyLoss",
+    "Recipe",
+    "StepConfig",
     "Update",
+    "configure",
+    "entry",
 ]
 __getattr__ = lazy_attributes(
     __name__,
     {
-        "A2C": "headway_algos.on_policy.updates.a2c:A2C",
+        "A2CLoss": "headway_algos.on_policy.updates.losses:A2CLoss",
         "Critic": "headway_algos.on_policy.critics:Critic",
         "Distribution": "headway_algos.networks.distributions:Distribution",
         "GradientUpdate": "headway_algos.on_policy.updates.gradient_update:GradientUpdate",
         "KFAC": "headway_algos.on_policy.updates.kfac:KFAC",
-        "Minibatch": "headway_algos.on_policy.updates.policy_loss:Minibatch",
-        "PPO": "headway_algos.on_policy.updates.ppo:PPO",
-        "PolicyLoss": "headway_algos.on_policy.updates.policy_loss:PolicyLoss",
+        "Minibatch": "headway_algos.on_policy.updates.losses:Minibatch",
+        "PPOLoss": "headway_algos.on_policy.updates.losses:PPOLoss",
+        "PolicyLoss": "headway_algos.on_policy.updates.losses:PolicyLoss",
         "TRPO": "headway_algos.on_policy.updates.trpo:TRPO",
         "Update": "headway_algos.on_policy.updates:Update",
     },

@@ -1,37 +1,142 @@
-"""Updates and critics by name: Headway's own, and those of other packages. Importing it imports no torch."""
+"""Components of on-policy algorithms by name: Headway's own, and other packages'. Imports no torch."""
 
-from collections.abc import Mapping
-from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
-from headway.contracts import Lazy
+from headway.contracts import HeadwayError, Lazy
+from headway_algos.config import AlgoConfig, SequentialConfig, SimultaneousConfig
+from headway_algos.on_policy.critics.config import (
+    AdamCriticConfig,
+    CentralConfig,
+    CounterfactualConfig,
+    CriticConfig,
+    KFACCriticConfig,
+)
+from headway_algos.on_policy.updates.config import A2CConfig, PPOConfig
+from headway_algos.on_policy.updates.natural_config import KFACConfig, TRPOConfig
 
-if TYPE_CHECKING:
-    from headway_algos.on_policy.critics import MakeCritic
-    from headway_algos.on_policy.updates import MakeUpdate
 
-UPDATES: dict[str, "MakeUpdate"] = {
-    "ppo": Lazy("headway_algos.on_policy.updates:ppo_update"),
-    "a2c": Lazy("headway_algos.on_policy.updates:a2c_update"),
-    "trpo": Lazy("headway_algos.on_policy.updates.trpo:TRPO"),
-    "kfac": Lazy("headway_algos.on_policy.updates.kfac:KFAC"),
+@dataclass(frozen=True)
+class Component:
+    """A critic, policy update, critic's optimiser or order, with the hyper-parameters that it uses."""
+
+    summary: str
+    """One sentence for `headway list algos NAME`."""
+    config: type[AlgoConfig]
+    """Record of its keys: a frozen dataclass that inherits from `AlgoConfig` or from another component's."""
+    make: Callable[..., Any]
+    """Constructor, given a record that includes `config`: see `MakeCritic` and `MakeUpdate`. A `Lazy` if its
+    module imports torch."""
+    rollout: Mapping[str, int] = field(default_factory=dict)
+    """For updates: defaults of keys of `rollout`, such as `{"steps": 16}`."""
+
+
+ONE_STEP = {"steps": 16}
+"""Short iterations, for updates that take one policy step per iteration."""
+
+
+UPDATES = {
+    "ppo": Component(
+        "Epochs of minibatch steps on a clipped surrogate.",
+        PPOConfig,
+        Lazy("headway_algos.on_policy.updates.gradient_update:ppo_update"),
+    ),
+    "a2c": Component(
+        "One gradient step on the whole batch.",
+        A2CConfig,
+        Lazy("headway_algos.on_policy.updates.gradient_update:a2c_update"),
+        ONE_STEP,
+    ),
+    "trpo": Component(
+        "One natural-gradient step within a bound on the KL divergence.",
+        TRPOConfig,
+        Lazy("headway_algos.on_policy.updates.trpo:TRPO"),
+    ),
+    "kfac": Component(
+        "One natural-gradient step with Kronecker factors of the Fisher information.",
+        KFACConfig,
+        Lazy("headway_algos.on_policy.updates.kfac:KFAC"),
+        ONE_STEP,
+    ),
 }
-CRITICS: dict[str, "MakeCritic"] = {
-    "local": Lazy("headway_algos.on_policy.critics.value:ValueCritic"),
-    "central": Lazy("headway_algos.on_policy.critics.value:ValueCritic"),
-    "counterfactual": Lazy("headway_algos.on_policy.critics.counterfactual:CounterfactualCritic"),
+CRITICS = {
+    "local": Component(
+        "V(o) of an agent's own observation.",
+        CriticConfig,
+        Lazy("headway_algos.on_policy.critics.value:LocalCritic"),
+    ),
+    "central": Component(
+        "V(s) of the global state.",
+        CentralConfig,
+        Lazy("headway_algos.on_policy.critics.value:CentralCritic"),
+    ),
+    "counterfactual": Component(
+        "Q(s, u) for each own action, the other agents' actions held fixed (Discrete actions only).",
+        CounterfactualConfig,
+        Lazy("headway_algos.on_policy.critics.counterfactual:CounterfactualCritic"),
+    ),
 }
+CRITIC_UPDATES = {
+    "adam": Component(
+        "Minibatch steps of Adam.",
+        AdamCriticConfig,
+        Lazy("headway_algos.on_policy.critics.return_regression:adam"),
+    ),
+    "kfac": Component(
+        "Natural gradients with Kronecker factors of the Gauss-Newton matrix.",
+        KFACCriticConfig,
+        Lazy("headway_algos.on_policy.critics.return_regression:kfac"),
+    ),
+}
+ORDERS = {
+    "simultaneous": Component(
+        "All policies are updated at once.",
+        SimultaneousConfig,
+        Lazy("headway_algos.on_policy.orders:simultaneous"),
+    ),
+    "sequential": Component(
+        "One policy after another in a random order, each with its advantages weighted by the probability "
+        "ratios of the policies updated before (needs several: `policies: independent` or `groups`).",
+        SequentialConfig,
+        Lazy("headway_algos.on_policy.orders:sequential"),
+    ),
+}
+KINDS: Mapping[str, dict[str, Component]] = {
+    "critic": CRITICS,
+    "update": UPDATES,
+    "critic_update": CRITIC_UPDATES,
+    "order": ORDERS,
+}
+"""Headway's components by kind (the key of `algo` that chooses one), then by name."""
 
 
-def updates() -> Mapping[str, "MakeUpdate"]:
-    """Return factories of updates by name: Headway's, and entry points of the group `headway.updates`."""
-    return {**_others("headway.updates"), **UPDATES}
+def names(kind: str) -> list[str]:
+    """Return the names of all components of a kind: Headway's, then those of other packages.
+
+    Other packages register theirs by entry points such as `headway.updates`.
+    """
+    return [*KINDS[kind], *(name for name in _others(kind) if name not in KINDS[kind])]
 
 
-def critics() -> Mapping[str, "MakeCritic"]:
-    """Return factories of critics by name: Headway's, and entry points of the group `headway.critics`."""
-    return {**_others("headway.critics"), **CRITICS}
+def component(kind: str, name: str) -> Component:
+    """Return a component by name.
+
+    Raises HeadwayError for an unknown name, or if another package registers it as something other than a
+    `Component`.
+    """
+    if name in KINDS[kind]:
+        return KINDS[kind][name]
+    if name not in (others := _others(kind)):
+        raise HeadwayError(f"{name!r} is no {kind}; available: {', '.join(sorted(names(kind)))}")
+    loaded = others[name].load()
+    if not isinstance(loaded, Component):
+        raise HeadwayError(f"{others[name].value}, entry point of algo.{kind}={name}, must be a Component")
+    return loaded
 
 
-def _others(group: str) -> dict[str, Any]:
-    return {point.name: Lazy(point.value) for point in entry_points(group=group)}
+@cache
+def _others(kind: str) -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=f"headway.{kind}s")}

@@ -10,13 +10,6 @@ from numpy.typing import NDArray
 from headway.contracts import EnvSpec
 
 
-def missing_groups(policies: str, spec: EnvSpec) -> str | None:
-    """Return an error line if `policies` is "groups" and the environment has no groups, else None."""
-    if policies == "groups" and not spec.groups:
-        return f"{spec.name} names no groups of agents; use algo.policies=shared or algo.policies=independent"
-    return None
-
-
 @dataclass(frozen=True)
 class Grouping:
     """K policies over N agents."""
@@ -79,8 +72,8 @@ class Grouping:
     def gather(self, by_agent: NDArray[Any], replicas: int) -> NDArray[Any]:
         """Convert (T, C, N, ...) to (P, G x T x E, ...), rows ordered by agent, then step, then copy.
 
-        Rows of padding hold copies of an agent's rows; see `is_member`. With a single shared policy,
-        `by_agent` may hold the first few agents only.
+        Padding repeats an agent's rows; see `is_member`. With a single shared policy, `by_agent` may contain
+        the first few agents only.
         """
         steps, copies, agents, *rest = by_agent.shape
         split = by_agent.reshape(steps, replicas, copies // replicas, agents, *rest)
@@ -94,7 +87,7 @@ class Grouping:
     ) -> NDArray[Any]:
         """Inverse of `gather`: convert (P, G x T x E, ...) to (T, C, N, ...).
 
-        `agents`: number of first agents gathered, if not all. Raises ValueError if it is given with more than
+        `agents`: N, if only the first agents were gathered. Raises ValueError if it is given with more than
         one policy.
         """
         if agents is not None and self.num_policies > 1:

@@ -1,61 +1,67 @@
 """Registry of algorithms by name. Importing it imports no torch."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import partial
+from typing import Any
 
-from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, Lazy, MultiDiscrete
-from headway_algos.acting.gru import acting_policy
-from headway_algos.components import critics, updates
-from headway_algos.config import AlgoConfig
-from headway_algos.grouping import missing_groups
-from headway_algos.off_policy.entries import OFF_POLICY
-from headway_algos.recipes import (
-    a3c,
-    coma,
-    custom,
-    happo,
-    hatrpo,
-    ia2c,
-    ippo,
-    itrpo,
-    maa2c,
-    maacktr,
-    mappo,
-    matrpo,
-)
+from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec
+from headway_algos import records
+from headway_algos.acting.policy import acting_policy
+from headway_algos.agent_id import impossible_ids
+from headway_algos.config import AlgoConfig, SimultaneousConfig
+from headway_algos.off_policy.entries import replay_entry
+from headway_algos.recipe import Recipe
+from headway_algos.recipes import recipes
 
-LEARNER = Lazy("headway_algos.on_policy.make_learner:make_learner")
-_SIMULTANEOUS = {"happo": "algo=mappo", "hatrpo": "algo=matrpo"}
-"""Simultaneous counterpart of each named sequential algorithm."""
+KERNELS = ("headway_algos.kernels",)
+"""Modules of compiled kernels. Every algorithm uses at least Adam's."""
+
+
+def _simultaneous(config: AlgoConfig) -> str | None:
+    """Return the choice that updates all policies at once, with the same critic and update."""
+    if config.name == "custom":
+        return "algo.order=simultaneous"
+    alike = [
+        name
+        for name, recipe in recipes().items()
+        if isinstance(recipe, Recipe)
+        and (recipe.critic, recipe.update, recipe.order) == (config.critic, config.update, "simultaneous")
+        and recipe.contributor is None
+    ]
+    return f"algo={alike[0]}" if alike else None
 
 
 def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
-    for key, chosen, known in (
-        ("critic", config.critic, critics()),
-        ("update", config.update, updates()),
-    ):
-        if chosen not in known:
-            return f"algo.{key}={chosen} is not possible; available: {', '.join(sorted(known))}"
     counterfactual = config.critic == "counterfactual"
-    if isinstance(spec.action_space, MultiDiscrete):
-        supported = "Discrete" if counterfactual else "Discrete or Box"
-        return f"{config.name} takes {supported} actions, and {spec.name} has MultiDiscrete ones"
-    if counterfactual and isinstance(spec.action_space, Box):
+    if counterfactual and not isinstance(spec.action_space, Discrete):
         return (
             f"{config.name} takes Discrete actions, which its counterfactual critic compares, and "
-            f"{spec.name} has Box ones; use an algorithm with a local or central critic, such as algo=mappo"
+            f"{spec.name} has {type(spec.action_space).__name__} ones; use an algorithm with a local or "
+            "central critic, such as algo=mappo"
         )
-    if (line := missing_groups(config.policies, spec)) is not None:
+    if (line := impossible_ids(config, spec)) is not None:
         return line
     groups = len(set(spec.groups))
-    single_policy = config.policies == "shared" or (config.policies == "groups" and groups == 1)
+    single_policy = config.policies == "shared" or (config.policies == "groups" and groups <= 1)
+    if isinstance(config, SimultaneousConfig) and config.shared_until > 0 and single_policy:
+        return (
+            f"algo.shared_until splits one policy into several, and algo.policies={config.policies} gives "
+            f"only one on {spec.name}; use algo.policies=independent"
+        )
     if config.order == "sequential" and single_policy:
-        simultaneous = _SIMULTANEOUS.get(config.name, "algo.order=simultaneous")
-        several = "independent, algo.policies=groups," if groups > 1 else "independent,"
+        ways = [f"algo.policies={way}" for way in ("independent", "groups")[: 2 if groups > 1 else 1]]
+        if (at_once := _simultaneous(config)) is not None:
+            ways.append(f"or {at_once} for all at once")
         return (
             f"{config.name} updates one policy after another, and algo.policies={config.policies} gives only "
-            f"one on {spec.name}; use algo.policies={several} or {simultaneous} for all at once"
+            f"one on {spec.name}; use {', '.join(ways)}"
         )
     actions, logits = spec.action_space, config.model.initial_logits
+    if not isinstance(actions, Box) and config.model.log_std != type(config.model).log_std:
+        return (
+            f"algo.model.log_std is the spread of Box actions, and {spec.name} has {type(actions).__name__} "
+            "ones; leave it out"
+        )
     if logits and not (isinstance(actions, Discrete) and actions.n == len(logits)):
         count = f"{actions.n} actions" if isinstance(actions, Discrete) else "no Discrete actions"
         remedy = "give one per action, or leave it out" if isinstance(actions, Discrete) else "leave it out"
@@ -64,6 +70,8 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
 
 
 def _refuses_budget(config: AlgoConfig, iterations: int) -> str | None:
+    if not isinstance(config, SimultaneousConfig):
+        return None
     # The last of n iterations begins when a share (n - 1) / n of training is done.
     begins = (iterations - 1) / iterations
     if begins >= config.shared_until:
@@ -75,38 +83,41 @@ def _refuses_budget(config: AlgoConfig, iterations: int) -> str | None:
     )
 
 
-def _entry(summary: str, source: str, config: type[AlgoConfig]) -> AlgoEntry:
+def entry(recipe: Recipe) -> AlgoEntry:
+    """Return the registry entry of an on-policy algorithm.
+
+    Raises TypeError if the recipe has a default for a key that the algorithm does not have.
+    """
+    record = records.record(recipe, {})
+    if unknown := set(recipe.defaults) - {key.name for key in fields(record)}:
+        raise TypeError(f"recipe {recipe.name} has no key {', '.join(sorted(unknown))}")
     return AlgoEntry(
-        summary, source, config, acting_policy, LEARNER, _refuses, refuses_budget=_refuses_budget
+        recipe.summary,
+        recipe.source,
+        record,
+        acting_policy,
+        recipe.learner,
+        _refuses,
+        refuses_budget=_refuses_budget,
+        contributor=recipe.contributor,
+        preload=recipe.preload,
+        kernels=KERNELS,
+        record=partial(records.record, recipe),
+        stored=partial(records.stored, recipe),
+        obsolete_keys=records.obsolete_keys(recipe),
+        rollout=partial(records.rollout, recipe),
     )
 
 
-_ALL = {
-    "a3c": AlgoEntry(
-        a3c.SUMMARY,
-        a3c.SOURCE,
-        a3c.A3CConfig,
-        acting_policy,
-        Lazy("headway_algos.on_policy.a3c_learner:AsynchronousA2CLearner"),
-        _refuses,
-        contributor=Lazy("headway_algos.on_policy.a3c_learner:A2CContributor"),
-        preload=("headway_algos.on_policy.a3c_learner",),
-    ),
-    "coma": _entry(coma.SUMMARY, coma.SOURCE, coma.COMAConfig),
-    "custom": _entry(custom.SUMMARY, custom.SOURCE, AlgoConfig),
-    "happo": _entry(happo.SUMMARY, happo.SOURCE, happo.HAPPOConfig),
-    "hatrpo": _entry(hatrpo.SUMMARY, hatrpo.SOURCE, hatrpo.HATRPOConfig),
-    "ia2c": _entry(ia2c.SUMMARY, ia2c.SOURCE, ia2c.IA2CConfig),
-    "ippo": _entry(ippo.SUMMARY, ippo.SOURCE, ippo.IPPOConfig),
-    "itrpo": _entry(itrpo.SUMMARY, itrpo.SOURCE, itrpo.ITRPOConfig),
-    "maa2c": _entry(maa2c.SUMMARY, maa2c.SOURCE, maa2c.MAA2CConfig),
-    "maacktr": _entry(maacktr.SUMMARY, maacktr.SOURCE, maacktr.MAACKTRConfig),
-    "mappo": _entry(mappo.SUMMARY, mappo.SOURCE, mappo.MAPPOConfig),
-    "matrpo": _entry(matrpo.SUMMARY, matrpo.SOURCE, matrpo.MATRPOConfig),
-    **OFF_POLICY,
+ENTRIES = {
+    name: entry(recipe) if isinstance(recipe, Recipe) else replace(replay_entry(recipe), kernels=KERNELS)
+    for name, recipe in sorted(recipes().items())
 }
 
-KERNELS = ("headway_algos.optim.kernel",)
-"""Modules of compiled kernels. Every algorithm uses at least Adam's."""
 
-ENTRIES = {name: replace(entry, kernels=KERNELS) for name, entry in _ALL.items()}
+def configure(name: str, **settings: Any) -> Any:  # noqa: ANN401 - any record
+    """Return an algorithm's configuration record with these hyper-parameters.
+
+    Raises TypeError for one that the algorithm does not have, ValueError for an impossible value.
+    """
+    return ENTRIES[name].record_for(settings)(**settings)

@@ -1,16 +1,20 @@
 """Configuration common to the off-policy algorithms, which learn from a replay buffer."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import exp
-from typing import Literal
+from typing import ClassVar, Literal
 
+from headway.contracts import Box, Discrete, Lazy
 from headway.contracts.checks import require
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Architecture of multilayer perceptrons. Transitions are stored singly, without history: use the wrapper
-    frame_stack_v1 to show past observations."""
+    """Architecture of multilayer perceptrons.
+
+    Transitions are stored singly, without history: use the wrapper frame_stack_v1 to show past observations.
+    """
 
     hidden: tuple[int, ...] = (64, 64)
     """Sizes of the hidden layers."""
@@ -25,11 +29,18 @@ class NetworkConfig:
 class ReplayConfig:
     """An off-policy algorithm: networks, targets, replay buffer and exploration schedule."""
 
+    VALUES_BEFORE: ClassVar[Mapping[str, object]] = {"agent_id": False}
+
     name: str = ""
     """Name in the registry: see `headway list algos`."""
-    policies: Literal["independent", "shared", "groups"] = "independent"
-    """`independent`: one policy per agent; `shared`: one for all; `groups`: one per group of the environment.
-    Each policy has its own replay buffer, filled by its agents only."""
+    policies: Literal["independent", "shared", "groups"] = "groups"
+    """`groups`: one policy per group of alike agents, which the environment names; without groups, one for
+    all. `shared`: one for all agents; `independent`: one per agent. Each policy has its own replay buffer,
+    filled by its agents only."""
+    agent_id: bool | None = None
+    """Append the agent's index, one-hot, to the observations of agents that share a policy, for all networks,
+    so that agents with equal observations may act differently. null: yes, if at most 64 agents share it and
+    they do not come and go, since slots of those that do are no identities."""
     model: NetworkConfig = field(default_factory=NetworkConfig)
     gamma: float = 0.99
     """Discount factor per step."""
@@ -48,7 +59,7 @@ class ReplayConfig:
     """Transitions per policy and gradient step, drawn uniformly with replacement."""
     updates: int = 128
     """Gradient steps after each iteration of rollout.copies x rollout.steps environment steps. More steps, or
-    shorter iterations (rollout=replay), learn more from the same experience and take longer."""
+    shorter iterations, learn more from the same experience and take longer."""
     target_every: int = 200
     """Gradient steps between updates of the target networks."""
     tau: float = 1.0
@@ -64,7 +75,7 @@ class ReplayConfig:
     exploration_share: float = 0.5
     """Share of training over which exploration falls linearly from start to end; 0: at once."""
     exploration_decay_steps: float | None = None
-    """Time constant of an exponential decay of exploration to its end, in environment steps; overrides
+    """Time constant of an exponential decay of exploration to its end, in environment steps, instead of
     `exploration_share`. null: linear decay."""
     normalise_observations: bool = True
     """Normalise observations by running statistics per policy, stored with the parameters. Replay buffers
@@ -95,12 +106,35 @@ class ReplayConfig:
         require(0 <= self.exploration_share <= 1, "exploration_share must lie in [0, 1]")
         decay = self.exploration_decay_steps
         require(decay is None or decay > 0, "exploration_decay_steps must be above 0, or null")
+        require(
+            decay is None or self.exploration_share == type(self).exploration_share,
+            "exploration_share or exploration_decay_steps, not both: exploration falls by one or the other",
+        )
 
     def exploration(self, progress: float, env_steps: int) -> float:
-        """Return the scheduled exploration after `env_steps` of a seed, a share `progress` of training."""
+        """Return the scheduled exploration after `env_steps` environment steps per seed.
+
+        `progress` is the share of training done by then.
+        """
         above = self.exploration_start - self.exploration_end
         if self.exploration_decay_steps is not None:
             return self.exploration_end + above * exp(-env_steps / self.exploration_decay_steps)
         if progress >= self.exploration_share:
             return self.exploration_end
         return self.exploration_start - above * progress / self.exploration_share
+
+
+@dataclass(frozen=True)
+class ReplayRecipe:
+    """An off-policy algorithm: its record and its method of learning from replayed transitions."""
+
+    name: str
+    summary: str
+    """One line for `headway list algos`."""
+    source: str
+    """Paper, with its arXiv number."""
+    config: type[ReplayConfig]
+    actions: type[Discrete] | type[Box]
+    """Action space required, which also decides how the algorithm explores."""
+    method: Lazy
+    """Constructor of the update: a `headway_algos.off_policy.learner.MakeMethod`."""

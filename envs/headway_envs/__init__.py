@@ -1,1 +1,1 @@
-"""Headway's environments. They import only the contracts and work without the engine."""
+"""Headway's environments. They import only `headway.contracts` and work without the rest of `headway`."""

@@ -1,7 +1,5 @@
 """Compilation of the kernels with numba, and removal of stale compiled code."""
 
-import os
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -17,28 +15,8 @@ SHARED = ("numba_setup.py", "keyed_random.py")
 
 
 def drop_stale_cache(folder: Path) -> None:
-    """Remove cached machine code compiled from an older state of the kernel in `folder`.
-
-    Numba checks only the file of the function that is called, not those of the functions it calls in turn, so
-    after a change elsewhere it would keep using the old machine code.
-    """
-    state = 0
-    shared = [Path(numba_setup.__file__), *(Path(__file__).with_name(name) for name in SHARED)]
-    for source in [*sorted(folder.glob("*.py")), *shared]:
-        state = zlib.crc32(source.read_bytes(), state)
-    cache = folder / "__pycache__"
-    stamp = cache / "kernel.stamp"
-    try:
-        if stamp.is_file() and stamp.read_text() == f"{state}":
-            return
-        for compiled_file in cache.glob("*.nb?"):
-            compiled_file.unlink(missing_ok=True)
-        cache.mkdir(exist_ok=True)
-        written = cache / f"kernel.stamp.{os.getpid()}"
-        written.write_text(f"{state}")
-        written.replace(stamp)
-    except OSError:
-        return  # In a read-only installation numba caches elsewhere, and sources do not change.
+    """Remove cached machine code compiled from an older state of the kernel in `folder`, or of `SHARED`."""
+    numba_setup.drop_stale_cache(folder, [Path(__file__).with_name(name) for name in SHARED])
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:

@@ -40,18 +40,20 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
 
     from headway_algos.batches.layout import Layout
     from headway_algos.batches.policy_batch import PolicyBatch
-    from headway_algos.config import AlgoConfig, ModelConfig
+    from headway_algos.config import ModelConfig
     from headway_algos.grouping import Grouping
     from headway_algos.networks.actor import Actor
-    from headway_algos.on_policy.critics.critic_inputs import VIEWS
+    from headway_algos.on_policy.critics.critic_inputs import LocalInputs
     from headway_algos.on_policy.critics.estimate import CriticEstimate
     from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
-    from headway_algos.on_policy.updates import ppo_update
+    from headway_algos.on_policy.updates.gradient_update import ppo_update
+    from headway_algos.registry import configure
 
     steps = ROWS_PER_ROUND // case.rows
     rows, device = steps * case.rows, torch.device("cpu")
     spec = EnvSpec("made", ("a",), OBSERVED, Discrete(3))
-    config = AlgoConfig(policies="shared", model=ModelConfig(hidden=case.hidden), epochs=1, minibatches=steps)
+    model = ModelConfig(hidden=case.hidden)
+    config = configure("ippo", policies="shared", model=model, epochs=1, minibatches=steps)
     seeds, grouping = tuple(range(case.seeds)), Grouping.of("shared", spec)
     layout, random = Layout(grouping, case.seeds, device, torch.float32), np.random.default_rng(0)
     actor = Actor(config.model, spec, seeds, 1, torch.float32)
@@ -63,7 +65,7 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
     here = np.ones((case.seeds, rows), np.bool_)
     batch = PolicyBatch(observations, None, actions, log_probs, here)
     update = ppo_update(actor, config, layout)
-    view = VIEWS["local"](config, spec, grouping)
+    view = LocalInputs(config, spec, grouping)
     regression = ReturnRegression(config, view, seeds, ReturnNetworks(config, view, 1, seeds, layout), layout)
     returns = random.normal(size=(rows, case.seeds, 1))
     estimate = CriticEstimate(returns, returns, returns, here.T[..., None], observations, hidden_states=None)
@@ -99,6 +101,7 @@ def report() -> None:
     import torch
 
     print("\n## Minibatch steps\n")
+    print("Torch computes the gradients; its steps of Adam and its tanh are compiled too.\n")
     print("| networks | hidden layers | rows | policies: torch, us | compiled, us | critics: torch, us "
           "| compiled, us |")  # fmt: skip
     print("|---:|---|---:|---:|---:|---:|---:|")

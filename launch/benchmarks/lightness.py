@@ -10,21 +10,18 @@ from pathlib import Path
 
 from headway.registry import env_entry
 
-
-def _resident() -> int:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmRSS:"):
-            return int(line.split()[1]) * 1024
-    return 0
+POLICY = "headway_algos.acting.mlp"
+"""Module of the acting policy that most algorithms use."""
 
 
 def _worker(connection: Connection) -> None:
-    import headway.rollout.workers.worker
+    import psutil
 
     entry = env_entry("bus")
     prepared = connection.recv()
     env = entry.make(prepared, 4)
-    connection.send((_resident(), "torch" in sys.modules, headway.rollout.workers.worker.__name__))
+    memory = psutil.Process().memory_full_info()
+    connection.send((memory.rss, memory.uss, "torch" in sys.modules))
     connection.recv()
     del env
 
@@ -35,18 +32,19 @@ def report() -> None:
     entry = env_entry("bus")
     prepared = entry.prepare(entry.config())
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["headway.rollout.workers.worker", *entry.preload])
+    context.set_forkserver_preload(["headway.rollout.workers.worker", *entry.preload, POLICY])
     for label in ("the first worker (starts the forkserver)", "a further worker"):
         ours, theirs = context.Pipe()
         began = time.monotonic()
         process = context.Process(target=_worker, args=(theirs,))
         process.start()
         ours.send(prepared)
-        resident, has_torch, _ = ours.recv()
+        resident, own, has_torch = ours.recv()
         seconds = time.monotonic() - began
         print(
             f"- {label}, with the bus environment: ready in {seconds:.2f} s, {resident / 2**20:.0f} MB "
-            f"resident, torch {'imported' if has_torch else 'not imported'}",
+            f"resident, {own / 2**20:.0f} MB of it not shared with the forkserver, "
+            f"torch {'imported' if has_torch else 'not imported'}",
             flush=True,
         )
         ours.send(None)

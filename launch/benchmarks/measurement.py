@@ -158,12 +158,12 @@ def measure_here(task: Task) -> Measurement:
     with tempfile.TemporaryDirectory() as folder:
         job = TrainingJob(
             make_env=make,
-            preload=entry.preload,
+            preload=(*entry.preload, *algo.kernels),
             prepared=prepared,
-            spec=make(prepared, 1).spec,
+            spec=make(prepared, 1).spec.for_policies,
             make_policy=algo.acting_policy,
             make_learner=algo.learner,
-            algo_config=build(algo.config, task.algo_args),
+            algo_config=build(algo.record_for(task.algo_args), task.algo_args),
             seeds=seeds,
             config=config,
             workers=task.workers,

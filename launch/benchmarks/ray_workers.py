@@ -196,7 +196,7 @@ def _plan_of(task: Task) -> RolloutPlan:
     entry, algo = env_entry(task.env), algo_entry(task.algo)
     prepared = entry.prepare(build(entry.config, task.env_args))
     spec = entry.make(prepared, 1).spec
-    policy = algo.acting_policy(build(algo.config, task.algo_args), spec)
+    policy = algo.acting_policy(build(algo.record_for(task.algo_args), task.algo_args), spec)
     return RolloutPlan(
         entry.make, entry.preload, prepared, spec, policy, (task.seed,), task.copies, task.steps, task.block
     )

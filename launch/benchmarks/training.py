@@ -1,4 +1,5 @@
-"""Environment steps per second of whole trainings, compared with peers on a machine of the same kind.
+"""Steps per second of whole trainings, compared with peers on a machine of the same kind and with the speed
+of its matrix products.
 
 The task: a trivially cheap environment of ten agents (Box(4), Discrete(3), shared reward, 200 steps), MLP
 64-64 tanh, PPO with 5 epochs, 4,000 environment steps per batch, one process and one thread. The peers step a
@@ -8,6 +9,7 @@ PPO's, K-FAC's one; algorithms with a replay buffer make 128 steps on 128 transi
 DDPG, whose actions are Box, trains on `tracking` instead.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
@@ -30,7 +32,7 @@ BASE = Task(
     env="trivial",
     algo="ippo",
     env_args={},
-    algo_args={"epochs": 5, "minibatches": 8},
+    algo_args={"policies": "independent", "epochs": 5, "minibatches": 8},
     copies=20,
     steps=200,
     block=20,
@@ -45,14 +47,23 @@ ROUNDS = 3
 shows medians."""
 
 
+AGENTS = 10
+
+LAYERS = ((4, 64), (64, 64))
+"""(inputs, outputs) of the hidden layers of IPPO's policies and critics; then 3 outputs, and 1."""
+
+
 def report() -> None:
     """Print the table."""
     print("\n## Training: environment steps per second (10 agents, 4,000 steps per batch)\n")
     print(f"Headway's rows are medians of {ROUNDS} interleaved runs.\n")
-    print("| program | environment | policies | steps/s | steps/CPU s | rollouts only, steps/s |")
-    print("|---|---|---|---:|---:|---:|")
+    print("| program | environment | policies | steps/s | steps/CPU s | agent steps/s | rollouts only |")
+    print("|---|---|---|---:|---:|---:|---:|")
     for name, per_second, per_cpu_second in PEERS:
-        print(f"| {name}, measured earlier | dict | independent | {per_second:,} | {per_cpu_second:,} | |")
+        print(
+            f"| {name}, measured earlier | dict | independent | {per_second:,} | {per_cpu_second:,} "
+            f"| {AGENTS * per_second:,} | |"
+        )
     rows = [
         (dict_based, algo, policies)
         for dict_based in (True, False)
@@ -74,9 +85,11 @@ def report() -> None:
         print(
             f"| Headway {algo} | {form} | {policies} | {median(r.per_second for r in results):,.0f} "
             f"| {median(r.per_cpu_second for r in results):,.0f} "
+            f"| {AGENTS * median(r.per_second for r in results):,.0f} "
             f"| {median(r.collected_per_second for r in results):,.0f} |",
             flush=True,
         )
+    _report_products()
     _report_two_seeds()
     _report_workers()
 
@@ -87,6 +100,49 @@ def interleaved(tasks: Sequence[Task]) -> list[list[Measurement]]:
     return [list(results) for results in zip(*rounds, strict=True)]
 
 
+def flops(epochs: int) -> int:
+    """Return the floating-point operations in matrix products per environment step of IPPO.
+
+    Each agent's observation passes forward through policy and critic once, and forward and backward through
+    both in every epoch; the backward pass needs a product for the weights and, after the first layer, one
+    for the inputs.
+    """
+    total = 0
+    for outputs in (3, 1):
+        sizes = [inputs * outs for inputs, outs in (*LAYERS, (LAYERS[-1][1], outputs))]
+        total += 2 * sum(sizes) + epochs * 2 * (3 * sum(sizes) - sizes[0])
+    return AGENTS * total
+
+
+def sgemm() -> float:
+    """Return the largest speed of torch's products of 64 x 64 by 64 x 256 matrices, FLOP per CPU second."""
+    import torch
+
+    torch.set_num_threads(1)
+    a, b, c = torch.ones(64, 64), torch.ones(64, 256), torch.empty(64, 256)
+    fastest = 0.0
+    for _ in range(50):
+        began = time.process_time()
+        for _ in range(200):
+            torch.mm(a, b, out=c)
+        fastest = max(fastest, 200 * 2 * 64 * 64 * 256 / (time.process_time() - began))
+    return fastest
+
+
+def _report_products() -> None:
+    limits, shares = [], []
+    for _ in range(ROUNDS):
+        limits.append(sgemm())
+        shares.append(flops(BASE.algo_args["epochs"]) * measure([BASE])[0].per_cpu_second / limits[-1])
+    print(
+        f"\nThe machine's matrix products (float32, 64 x 64 by 64 x 256, one thread): "
+        f"{median(limits) / 1e9:.0f} GFLOP/s. Products alone would let IPPO (batched, independent) train at "
+        f"{median(limits) / flops(BASE.algo_args['epochs']):,.0f} steps/CPU s, of which it reaches "
+        f"{median(shares):.0%}.",
+        flush=True,
+    )
+
+
 def _report_two_seeds() -> None:
     ratios, totals = [], []
     for _ in range(ROUNDS):
@@ -94,7 +150,7 @@ def _report_two_seeds() -> None:
         pair = measure([replace(BASE, seed=seed) for seed in (0, 1)])
         totals.append(sum(result.per_second for result in pair))
         ratios.append(totals[-1] / alone.per_second)
-    print("\nTwo seeds in two processes (ippo, batched, independent):", end=" ")
+    print("Two seeds in two processes (ippo, batched, independent):", end=" ")
     print(f"{median(totals):,.0f} steps/s, {median(ratios):.2f} times one seed alone.", flush=True)
 
 

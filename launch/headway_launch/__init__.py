@@ -1,1 +1,1 @@
-"""The composition root: the command line, and the only place where names meet objects."""
+"""The command line and the session behind it: names are resolved to environments and algorithms only here."""

@@ -1,4 +1,4 @@
-"""`python -m headway_launch` is `headway`."""
+"""Entry point of `python -m headway_launch`, equivalent to `headway`."""
 
 from headway_launch.commands.main import main
 

@@ -1,1 +1,1 @@
-"""Headway's engine: contracts, configuration, rollouts, training, the store, energy, statistics."""
+"""Contracts, configuration, rollouts, training, the store, energy, statistics."""

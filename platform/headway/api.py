@@ -16,13 +16,11 @@ if TYPE_CHECKING:
     from headway.adapters.parallel_entry import AdapterOptions, parallel_entry
     from headway.stats import frames, plots
     from headway.store import RunSelection, select
-    from headway.wrappers.batch import BatchWrapper
     from headway.wrappers.observations import ChangedObservations
 
 _LOADED_LATER = {
     "CHECKS": "headway.adapters.conformance:CHECKS",
     "AdapterOptions": "headway.adapters.parallel_entry:AdapterOptions",
-    "BatchWrapper": "headway.wrappers.batch:BatchWrapper",
     "ChangedObservations": "headway.wrappers.observations:ChangedObservations",
     "RunSelection": "headway.store:RunSelection",
     "frames": "headway.stats.frames",
@@ -34,7 +32,6 @@ _LOADED_LATER = {
 __all__ = [
     "CHECKS",
     "AdapterOptions",
-    "BatchWrapper",
     "ChangedObservations",
     "RunSelection",
     "frames",

@@ -21,8 +21,8 @@ class ChosenEnv:
     """Environment of training: with all wrappers. Both entries have the same `make`. If the accepted
     arguments are known only from those given, its `config` also accepts `training_args`."""
     mapping: dict[str, Any]
-    """The keys of `env.*` besides `id` and `args`, with every wrapper argument spelt out. Keys left at null
-    or empty are omitted."""
+    """The keys of `env.*` except `id` and `args`, with all arguments of wrappers written out. Keys left at
+    null or empty are omitted."""
 
 
 def chosen_env(config: EnvConfig) -> ChosenEnv:
@@ -62,7 +62,7 @@ def _module_entry(config: EnvConfig, arguments: Iterable[str]) -> EnvEntry:
     from headway.adapters.parallel_entry import AdapterOptions
 
     options = AdapterOptions(
-        shared_reward=bool(config.shared_reward),
+        shared_reward=config.shared_reward,
         agents_come_and_go=config.agents_come_and_go,
         max_copies_per_process=config.max_copies_per_process,
     )

@@ -69,9 +69,27 @@ def is_module_path(name: str) -> bool:
 
 
 def algo_entry(name: str) -> AlgoEntry:
-    """Return the algorithm with this name. Raises HeadwayError, suggesting the nearest name, if there is
-    none."""
+    """Return the algorithm with this name.
+
+    Raises HeadwayError, suggesting the nearest name, if there is none.
+    """
     return _named(algo_entries(), name, "algorithm")
+
+
+def hashed_parameters(algorithm: str, parameters: Mapping[str, str]) -> Mapping[str, str]:
+    """Return a cell's parameters (dotted key -> text) in the form that is hashed, the same in all versions.
+
+    Obsolete keys are added, and newer keys are dropped if their value reproduces the earlier behaviour, so
+    that old and new runs of one configuration belong to one cell. Returned unchanged if the algorithm is not
+    installed.
+    """
+    try:
+        entry = algo_entries()[algorithm]
+    except (HeadwayError, KeyError):
+        return parameters
+    obsolete = {f"algo.{key}": str(value) for key, value in entry.obsolete_keys.items()}
+    before = {f"algo.{key}": str(value) for key, value in getattr(entry.config, "VALUES_BEFORE", {}).items()}
+    return {**obsolete, **{key: value for key, value in parameters.items() if before.get(key) != value}}
 
 
 def wrapper_entry(name: str, path: str = "") -> WrapperEntry:

@@ -15,7 +15,13 @@ pytestmark = pytest.mark.skipif(find_spec("libsumo") is None, reason="SUMO (head
 BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
 
 
-@pytest.mark.parametrize("name", ["SUMO's humans", "SUMO's humans, 1,600 veh/h", "humans"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "SUMO's humans",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("SUMO's humans, 1,600 veh/h", "humans")),
+    ],
+)
 def test_traffic_lies_within_its_bands(name: str) -> None:
     """Three episodes, in bands widened for their number; there is no crash."""
     scenario = BY_NAME[name]

@@ -131,7 +131,7 @@ def test_runs_are_stored_under_the_names_of_the_package(runs: list[RunRow]) -> N
         ("crossing.junction", "ippo"),
         ("fast_junction", "custom"),
         ("fast_junction", "haa2c"),
-        ("junction", "spo"),
+        ("junction", "ispo"),
     }
     assert [row.status for row in runs] == ["FINISHED"] * 5
     assert all(row.env_steps == 2048 for row in runs)

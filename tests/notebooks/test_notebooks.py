@@ -2,9 +2,7 @@
 
 from pathlib import Path
 
-import nbformat
 import pytest
-from nbclient import NotebookClient
 
 PROJECT = Path(__file__).resolve().parents[2]
 PICTURES = {
@@ -29,6 +27,9 @@ def test_all_notebooks_are_named_here() -> None:
 def test_a_notebook_runs_and_shows_its_pictures(
     name: str, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    import nbformat  # takes as long as torch, and every test process collects this file
+    from nbclient import NotebookClient
+
     monkeypatch.setenv("HEADWAY_STORE", str(store))
     monkeypatch.setenv("HEADWAY_ENV_STEPS", "12_000")
     monkeypatch.delenv("MPLBACKEND", raising=False)

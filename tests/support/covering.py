@@ -1,8 +1,11 @@
-"""Covering sets of parametrisations: every pair of values once, in place of every combination."""
+"""Parametrisations without the cost of all combinations: covering sets, and cases for the full run only."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import combinations, product
 from typing import Any
+
+import pytest
+from _pytest.mark import ParameterSet
 
 
 def pairwise(*axes: Iterable[Any], where: Callable[..., bool] = lambda *row: True) -> list[tuple[Any, ...]]:
@@ -21,3 +24,10 @@ def pairwise(*axes: Iterable[Any], where: Callable[..., bool] = lambda *row: Tru
         uncovered -= pairs_of.pop(best)
         chosen.append(best)
     return chosen
+
+
+def quick_or_slow(cases: Mapping[str, Sequence[Any]], *quick: str) -> list[ParameterSet]:
+    """Return named cases as parameters, marked `slow` except those named `quick`, which show each kind."""
+    assert set(quick) <= set(cases)
+    marks = {name: () if name in quick else (pytest.mark.slow,) for name in cases}
+    return [pytest.param(*values, id=name, marks=marks[name]) for name, values in cases.items()]

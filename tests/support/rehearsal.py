@@ -35,9 +35,9 @@ from headway.rollout.collector import Collector
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode
 from headway.rollout.workers.worker_pool import Notify
-from headway_algos.acting.gru import acting_policy
+from headway_algos.acting.policy import acting_policy
 from headway_algos.config import ModelConfig
-from headway_algos.recipes.ippo import IPPOConfig
+from headway_algos.registry import configure
 from headway_envs.toy.tracking import Tracking, TrackingConfig
 from headway_envs.toy.trivial import Trivial, TrivialConfig
 from headway_envs.toy.visitors import Visitors, VisitorsConfig
@@ -243,8 +243,13 @@ def plan_of(
 ) -> RolloutPlan:
     """Return a plan with IPPO's acting policy: one small network per agent."""
     with closing(make(config, 1)) as env:
-        spec = env.spec
-    policy = acting_policy(IPPOConfig(precision=precision, model=ModelConfig(core=core, gru_size=4)), spec)
+        spec = env.spec.for_policies
+    config_of_policy = configure(
+        "ippo",
+        precision=precision,
+        model=ModelConfig(core=core, **({"gru_size": 4} if core == "gru" else {})),
+    )
+    policy = acting_policy(config_of_policy, spec)
     return RolloutPlan(make, (), config, spec, policy, tuple(seeds), copies, steps, block)
 
 

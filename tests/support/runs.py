@@ -20,12 +20,14 @@ from headway.events import Event, Finished, Row
 from headway.store.parquet_log import TABLES, Table, read_rows
 from headway.training.loop import TrainingJob, train
 from headway_algos.config import ModelConfig
-from headway_algos.recipes.ippo import IPPOConfig
-from headway_algos.registry import ENTRIES
+from headway_algos.registry import ENTRIES, configure
 
 Backend = Literal["serial", "process"]
 Log = dict[Table, list[dict[str, str]]]
 COPIES, STEPS = 4, 16
+
+
+GRU: dict[str, Any] = {"gru_size": 4, "sequence_length": 6}
 
 
 def job_of(
@@ -42,11 +44,11 @@ def job_of(
     core: Literal["none", "gru"] = "none",
 ) -> TrainingJob:
     """Return a job whose run folders are `folder`/seed."""
-    model = ModelConfig(hidden=(8,), core=core, gru_size=4, sequence_length=6)
-    algo = IPPOConfig(model=model, epochs=2, minibatches=2, precision=precision)
+    model = ModelConfig(hidden=(8,), core=core, **(GRU if core == "gru" else {}))
+    algo = configure("ippo", model=model, epochs=2, minibatches=2, precision=precision)
     make, prepared = env
     with closing(make(prepared, 1)) as one:
-        spec = one.spec
+        spec = one.spec.for_policies
     return TrainingJob(
         make_env=make,
         preload=(),

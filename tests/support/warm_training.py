@@ -1,4 +1,5 @@
-"""Training processes that begin warm: forked from a server that has imported torch and Headway.
+"""Training processes that begin warm: forked from a server that has imported torch and Headway and loaded the
+algorithms' kernels; their workers are forked from the same server.
 
 A session starts each training process anew, which takes two seconds of imports. Tests that run many small
 sessions in their own process use the server instead; whole sessions in processes of their own
@@ -18,6 +19,7 @@ _MODULES = (
     "headway_algos.on_policy.learner",
     "headway_algos.off_policy.learner",
     "pyarrow.parquet",
+    "loaded_kernels",
 )
 _SERVERS: dict[int, forkserver.ForkServer] = {}
 """By process ID: children never use their parent's."""

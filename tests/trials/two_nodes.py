@@ -84,7 +84,7 @@ class Turn:
     @property
     def loss_message(self) -> str:
         """Part of the line that a session prints when it has lost an actor."""
-        return "it continues elsewhere" if self.learners == "cluster" else "replaced, "
+        return "restarted from its last checkpoint" if self.learners == "cluster" else "replaced, "
 
 
 TURNS = {

@@ -1,15 +1,13 @@
 """Exploring policies of the off-policy algorithms in numpy: epsilon-greedy and Ornstein-Uhlenbeck noise."""
 
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Box, EnvSpec, Observations
 from headway.contracts.acting_policy import Parameters
-from headway_algos.acting.live_agents import ActingResult, FeedforwardActing, RecurrentActing
 from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.replay_config import ReplayConfig
 
@@ -29,18 +27,10 @@ class ExploringStack:
         stack = replicas * self.flat.grouping.num_policies
         return shapes | {"exploration": ((stack, 1, 1), np.dtype(self.flat.precision))}
 
-    @property
-    def single_agent(self) -> "ExploringStack | None":
-        """The same stack for one agent that is always alive (see `MaskedActingPolicy`)."""
-        return None if self.flat.single_agent is None else ExploringStack(self.flat.single_agent)
-
     def outputs(self, parameters: Parameters, observed: Observations) -> NDArray[Any]:
-        """Return the network outputs of each agent, (C, N, A)."""
-        flat = self.flat
-        features = flat.hidden_features(parameters, flat.rows(parameters, observed))
-        by_row = flat.outputs(parameters, features)
-        by_agent: NDArray[Any] = flat.grouping.scatter(by_row, flat.replicas(parameters), steps=1)[0]
-        return by_agent
+        """Return the network outputs of each agent, (C, N, A); 0 if it is not alive."""
+        features = self.flat.hidden_layers(parameters, observed)
+        return self.flat.output_layer(parameters, features).by_agent()
 
     def exploration(self, parameters: Parameters, copies: int) -> NDArray[np.float64]:
         """Return the exploration of each agent's policy, (C, N)."""
@@ -52,8 +42,10 @@ class ExploringStack:
 
 
 @dataclass(frozen=True)
-class EpsilonGreedyPolicy(FeedforwardActing):
+class EpsilonGreedyPolicy:
     """The best allowed action or, with probability epsilon, a uniformly random allowed one."""
+
+    any_block: ClassVar[bool] = True
 
     stack: ExploringStack
 
@@ -70,23 +62,10 @@ class EpsilonGreedyPolicy(FeedforwardActing):
         """Draw uniforms (T, N, 2): one decides whether to explore, the other which action."""
         return generator.random((steps, self.stack.flat.spec.num_agents, 2))
 
-    @cached_property
-    def single_agent(self) -> Self | None:
-        """The same policy for one agent that is always alive (see `MaskedActingPolicy`)."""
-        return None if self.stack.single_agent is None else replace(self, stack=self.stack.single_agent)
-
-    def replicas(self, parameters: Parameters) -> int:
-        """Return R, the number of replicas in `parameters`."""
-        return self.stack.flat.replicas(parameters)
-
-    def act_on_all_slots(
-        self,
-        parameters: Parameters,
-        observed: Observations,
-        hidden_states: NDArray[Any] | None,
-        noise: NDArray[np.float64] | None,
-    ) -> ActingResult:
-        """Implement `MaskedActingPolicy.act_on_all_slots`, without recurrence."""
+    def act(
+        self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Implement `headway.contracts.ActingPolicy.act`. Agents not alive get any action."""
         values = self.stack.outputs(parameters, observed)
         allowed = np.ones(values.shape, np.bool_)
         if observed.action_masks is not None:
@@ -99,11 +78,11 @@ class EpsilonGreedyPolicy(FeedforwardActing):
             drawn = (noise[..., 1] * choices).astype(np.int64)
             any_allowed = (allowed.cumsum(axis=-1) > drawn[..., None]).argmax(axis=-1)
             actions = np.where(noise[..., 0] < epsilon, any_allowed, best)
-        return actions, np.log(epsilon / choices + (1 - epsilon) * (actions == best)), hidden_states
+        return actions, np.log(epsilon / choices + (1 - epsilon) * (actions == best))
 
 
 @dataclass(frozen=True)
-class OrnsteinUhlenbeckPolicy(RecurrentActing):
+class OrnsteinUhlenbeckPolicy:
     """A deterministic policy with additive Ornstein-Uhlenbeck noise x:
 
         x' = (1 - theta) x + sigma n,   n standard normal;   action = m + h (tanh(network) + scale x')
@@ -111,6 +90,8 @@ class OrnsteinUhlenbeckPolicy(RecurrentActing):
     clipped to the action bounds m - h and m + h (Uhlenbeck and Ornstein 1930, discretised with step 1). The
     noise x is the agent's hidden state: 0 where its stream begins, unchanged while the agent is not alive.
     """
+
+    any_block: ClassVar[bool] = True
 
     stack: ExploringStack
     theta: float
@@ -148,31 +129,22 @@ class OrnsteinUhlenbeckPolicy(RecurrentActing):
     def act(
         self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """Act as at the beginning of every stream, with x = 0."""
+        """Act with noise state x = 0, as at the beginning of a stream."""
         hidden_states = np.zeros((*observed.alive.shape, self.hidden_size))
         return self.act_from(parameters, observed, hidden_states, noise)[:2]
 
-    @cached_property
-    def single_agent(self) -> Self | None:
-        """The same policy for one agent that is always alive (see `MaskedActingPolicy`)."""
-        return None if self.stack.single_agent is None else replace(self, stack=self.stack.single_agent)
-
-    def replicas(self, parameters: Parameters) -> int:
-        """Return R, the number of replicas in `parameters`."""
-        return self.stack.flat.replicas(parameters)
-
-    def act_on_all_slots(
+    def act_from(
         self,
         parameters: Parameters,
         observed: Observations,
-        hidden_states: NDArray[Any] | None,
+        hidden_states: NDArray[Any],
         noise: NDArray[np.float64] | None,
-    ) -> ActingResult:
-        """Implement `MaskedActingPolicy.act_on_all_slots`. Greedy acting leaves the noise state x unchanged.
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.float64]]:
+        """Implement `headway.contracts.RecurrentPolicy.act_from`.
 
-        Log-probabilities are 0, since a deterministic policy has no density.
+        Greedy acting leaves the noise state x unchanged. Log-probabilities are 0, since a deterministic
+        policy has no density.
         """
-        assert hidden_states is not None
         low, high = np.array(self._box.low), np.array(self._box.high)
         chosen = np.tanh(self.stack.outputs(parameters, observed))
         if noise is not None:

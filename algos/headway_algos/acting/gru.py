@@ -1,31 +1,26 @@
 """Acting policy with gated recurrent units, in numpy."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import ActingPolicy, EnvSpec, Observations
+from headway.contracts import Observations
 from headway.contracts.acting_policy import Parameters
-from headway_algos.acting.live_agents import ActingResult, RecurrentActing
+from headway_algos.acting.live_rows import LiveRows
 from headway_algos.acting.mlp import MLPActingPolicy, actor_outputs
-from headway_algos.config import AlgoConfig
-
-
-def acting_policy(config: AlgoConfig, spec: EnvSpec) -> ActingPolicy:
-    """Return the acting policy of an on-policy algorithm, with or without recurrence."""
-    flat = MLPActingPolicy.of(config, spec)
-    return flat if config.model.core == "none" else GRUActingPolicy(flat, config.model.gru_size)
 
 
 def gated_step(
-    from_input: NDArray[Any], hidden_states: NDArray[Any], weight: NDArray[Any], bias: NDArray[Any]
+    from_input: NDArray[Any], from_hidden: NDArray[Any], hidden_states: NDArray[Any], bias: NDArray[Any]
 ) -> NDArray[Any]:
-    """Return the next hidden states (P, M, B). Equations and other shapes: `headway_algos.networks.gru`."""
+    """Return the next hidden states (P, M, B).
+
+    `from_input` is W x + b and `from_hidden` U h, (P, 3 M, B), `bias` b_h (P, M, 1), of the equations in
+    `headway_algos.networks.gru`.
+    """
     size = hidden_states.shape[1]
-    from_hidden = np.matmul(weight, hidden_states)
     # The logistic function by tanh, which does not overflow.
     gates = from_input[:, : 2 * size] + from_hidden[:, : 2 * size]
     gates *= 0.5
@@ -41,11 +36,13 @@ def gated_step(
 
 
 @dataclass(frozen=True)
-class GRUActingPolicy(RecurrentActing):
+class GRUActingPolicy:
     """P stacked policies with gated recurrent units between the hidden layers and the output layer.
 
     The hidden state of a live agent is updated at every step, whether or not its action is used.
     """
+
+    any_block: ClassVar[bool] = True
 
     flat: MLPActingPolicy
     """Normalisation, hidden layers, output layer and action distribution."""
@@ -54,14 +51,14 @@ class GRUActingPolicy(RecurrentActing):
 
     @property
     def hidden_dtype(self) -> np.dtype[Any]:
-        """Dtype of hidden states, the same as of parameters."""
+        """Dtype of hidden states: the dtype of the parameters."""
         return np.dtype(self.flat.precision)
 
     def parameter_shapes(self, replicas: int) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
         """Return the shapes of the feedforward layers and of the recurrent units."""
         flat, size = self.flat, self.hidden_size
         stack = replicas * flat.grouping.num_policies
-        input_size = flat.hidden[-1] if flat.hidden else flat.spec.observation_size
+        input_size = flat.hidden[-1] if flat.hidden else flat.input_size
         shapes = {
             f"weight_{len(flat.hidden)}": (stack, actor_outputs(flat.spec), size),
             "gru_weight_input": (stack, 3 * size, input_size),
@@ -72,7 +69,7 @@ class GRUActingPolicy(RecurrentActing):
         return flat.parameter_shapes(replicas) | {name: (s, self.hidden_dtype) for name, s in shapes.items()}
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
-        """Return the same random numbers as `MLPActingPolicy.noise`."""
+        """Draw the random numbers of `MLPActingPolicy.noise`."""
         return self.flat.noise(generator, steps)
 
     def act(
@@ -82,32 +79,27 @@ class GRUActingPolicy(RecurrentActing):
         hidden_states = np.zeros((*observed.alive.shape, self.hidden_size), self.hidden_dtype)
         return self.act_from(parameters, observed, hidden_states, noise)[:2]
 
-    @cached_property
-    def single_agent(self) -> Self | None:
-        """The same policy for one agent that is always alive (see `MaskedActingPolicy`)."""
-        return None if self.flat.single_agent is None else replace(self, flat=self.flat.single_agent)
-
-    def replicas(self, parameters: Parameters) -> int:
-        """Return R, the number of replicas in `parameters`."""
-        return self.flat.replicas(parameters)
-
-    def act_on_all_slots(
+    def act_from(
         self,
         parameters: Parameters,
         observed: Observations,
-        hidden_states: NDArray[Any] | None,
+        hidden_states: NDArray[Any],
         noise: NDArray[np.float64] | None,
-    ) -> ActingResult:
-        """Implement `MaskedActingPolicy.act_on_all_slots`."""
-        assert hidden_states is not None
-        flat, replicas = self.flat, self.flat.replicas(parameters)
-        features = flat.hidden_features(parameters, flat.rows(parameters, observed))
-        from_input = np.matmul(parameters["gru_weight_input"], features)
-        from_input += parameters["gru_bias_input"]
-        before = flat.grouping.gather(hidden_states[None], replicas).swapaxes(1, 2)
-        after = gated_step(from_input, before, parameters["gru_weight_memory"], parameters["gru_bias_memory"])
-        actions, log_probs = flat.choose_actions(parameters, observed, flat.outputs(parameters, after), noise)
-        next_states = flat.grouping.scatter(after.swapaxes(1, 2), replicas, steps=1)[0]
-        if flat.spec.agents_come_and_go:
-            next_states = np.where(observed.alive[..., None], next_states, hidden_states)
-        return actions, log_probs, next_states
+    ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
+        """Implement `headway.contracts.RecurrentPolicy.act_from`. Actions of agents not alive are 0."""
+        flat, size = self.flat, self.hidden_size
+        features = flat.hidden_layers(parameters, observed)
+        inputs = features.layer(parameters["gru_weight_input"], parameters["gru_bias_input"])
+        zero = np.zeros((len(features.counts), 1, size), self.hidden_dtype)
+        before = LiveRows.gather(hidden_states, observed.alive, flat.grouping, zero, zero)
+        no_bias = np.zeros((len(features.counts), 3 * size, 1), self.hidden_dtype)
+        products = before.layer(parameters["gru_weight_memory"], no_bias)
+        after = replace(
+            before,
+            features=gated_step(
+                inputs.features, products.features, before.features, parameters["gru_bias_memory"]
+            ),
+        )
+        outputs = flat.output_layer(parameters, after).by_agent()
+        actions, log_probs = flat.choose_actions(parameters, observed, outputs, noise)
+        return actions, log_probs, np.where(observed.alive[..., None], after.by_agent(), hidden_states)

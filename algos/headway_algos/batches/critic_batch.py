@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 
 from headway.contracts import Trajectory
 from headway_algos.batches.hidden_states import HiddenStates
-from headway_algos.batches.layout import Truncations, last_known_masks, zero_where_absent
+from headway_algos.batches.layout import zero_where_absent
+from headway_algos.batches.stream_ends import Truncations, last_known_masks
 
 
 @dataclass(frozen=True)
 class CriticBatch:
     """C copies at M time points. Rows of absent agents are 0, and their action masks allow every action.
 
-    The two presence masks differ right after a truncation: an agent that was absent or had terminated is
-    `present` for its own value, but is no part of what the values of others are computed from.
+    `present` and `in_joint` differ only right after a truncation: an agent whose stream has just ended still
+    has a value to bootstrap from, but is left out of other agents' inputs if it terminated or was absent.
     """
 
     observations: NDArray[np.float32]
@@ -32,9 +33,10 @@ class CriticBatch:
     masks: NDArray[np.bool_] | None
     """(M, C, N, A) action masks, or None if the environment has none."""
     actions: NDArray[Any] | None = None
-    """(M, C, N) for Discrete, (M, C, N, size) for Box; None if no actions were taken or none are needed."""
+    """(M, C, N) for Discrete, (M, C, N, choices) for MultiDiscrete, (M, C, N, size) for Box; None if no
+    actions were taken or none are needed."""
     select_hidden: Callable[[HiddenStates], NDArray[Any]] = attrgetter("of_steps")
-    """Returns the hidden states (M, C, W, size) at these time points, out of those of the trajectory."""
+    """Selects the hidden states (M, C, W, size) at these time points from those of the trajectory."""
 
     @classmethod
     def of_steps(cls, trajectory: Trajectory) -> "CriticBatch":
@@ -66,9 +68,10 @@ class CriticBatch:
     def after_truncations(cls, trajectory: Trajectory, truncations: Truncations) -> "CriticBatch":
         """Return the observations right after each truncation, as F time points of R copies.
 
-        Final observations and states are used where valid, next ones for agents whose stream continues. No
-        mask is recorded with a final observation, so the last known mask is used. An agent whose stream ended
-        is part of joint inputs if it was alive before the step and did not terminate with it.
+        Agents whose stream ended contribute their final observation, others the next one; the state is the
+        final one if all streams ended. No mask is recorded with a final observation, so the last known mask
+        is used. An agent whose stream ended is part of joint inputs if it was alive before the step and did
+        not terminate with it.
         """
         ended = truncations.take(trajectory.terminated | trajectory.truncated)
         alive, next_alive = truncations.take(trajectory.alive[:-1]), truncations.take(trajectory.alive[1:])

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway_algos.batches.layout import Layout, Truncations
+from headway_algos.batches.layout import Layout
 from headway_algos.batches.sequences import Sequences, over_rows
+from headway_algos.batches.stream_ends import Truncations
 from headway_algos.networks.gru import RecurrentNetwork
 
 
@@ -54,7 +55,10 @@ class HiddenStates:
         return cls(before, after, begins[:-1], keeps)
 
     def sequences(self, layout: Layout, length: int) -> Sequences:
-        """Return the steps cut into sequences of `length`, with the hidden state before each sequence."""
+        """Cut the T steps into ceil(T / length) sequences per copy and input.
+
+        Each sequence includes the hidden state before it.
+        """
         return Sequences.of(layout, length, self.before[:-1:length], self.begins, self.keeps)
 
     @property

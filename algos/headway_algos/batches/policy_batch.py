@@ -19,7 +19,7 @@ class PolicyBatch:
     masks: Tensor | None
     """(P, B, A) action masks"""
     actions: Tensor
-    """(P, B) for Discrete, (P, B, A) for Box"""
+    """(P, B) for Discrete, (P, B, choices) for MultiDiscrete, (P, B, A) for Box"""
     log_probs: Tensor
     """(P, B), under the parameters that sampled the actions."""
     selected: NDArray[np.bool_]

@@ -1,7 +1,7 @@
 """The stack of policies that a learner trains: device, metrics per replica, and divergence check."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import EnvSpec, HeadwayError
+from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
+from headway_algos.replay_config import ReplayConfig
+
+Configuration = AlgoConfig | ReplayConfig
 
 
 def resolve_device(device: str) -> torch.device:
@@ -34,21 +38,36 @@ class Stack:
     seeds: tuple[int, ...]
     """(R,): one per replica."""
 
-    def per_replica(self, values: Tensor) -> NDArray[np.float64]:
-        """Return the mean over each replica's networks, (R,), of values (P,)."""
-        means: NDArray[np.float64] = values.double().cpu().numpy().reshape(len(self.seeds), -1).mean(axis=1)
-        return means
+    def raise_if_diverged(self, acting: Mapping[str, NDArray[Any]], config: Configuration, when: str) -> None:
+        """Raise HeadwayError, naming policy and seed, if acting parameters (P, ., .) are not all finite.
 
-    def raise_if_diverged(
-        self, acting: Mapping[str, NDArray[Any]], algorithm: str, iteration: int, advice: str
-    ) -> None:
-        """Raise HeadwayError, naming policy and seed, if acting parameters (P, ., .) are not all finite."""
+        `when`: for instance "iteration 7".
+        """
         for array in acting.values():
             broken = ~np.isfinite(array).all(axis=(1, 2))
             if broken.any():
                 replica, policy = divmod(int(broken.argmax()), self.grouping.num_policies)
                 owner = self.grouping.owner(policy, self.spec)
                 raise HeadwayError(
-                    f"{algorithm} diverged: the policy of {owner}, seed {self.seeds[replica]}, is not finite "
-                    f"after iteration {iteration}; {advice}, or bound the gradients by algo.grad_clip"
+                    f"{config.name} diverged: the policy of {owner}, seed {self.seeds[replica]}, is not "
+                    f"finite after {when}; {remedy(config)}"
                 )
+
+
+def remedy(config: Configuration) -> str:
+    """Return what to change when training diverges, in keys that the algorithm has."""
+    keys = {key.name for key in fields(config)}
+    lower = " or ".join(f"algo.{key}" for key in ("lr", "kl_bound") if key in keys)
+    return f"lower {lower}" + (", or bound the gradients by algo.grad_clip" if "grad_clip" in keys else "")
+
+
+def mean_per_replica(values: Tensor, replicas: int) -> NDArray[np.float64]:
+    """Return the mean over each replica's networks, (R,), of values (P,).
+
+    NaN, of networks that took no step, is left out; the mean is NaN if there is nothing else.
+    """
+    table = values.double().cpu().numpy().reshape(replicas, -1)
+    known = ~np.isnan(table)
+    count = known.sum(axis=1)
+    total = np.where(known, table, 0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

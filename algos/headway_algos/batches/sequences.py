@@ -16,7 +16,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway_algos.batches.layout import Layout, Piece, even_slices, minibatches
+from headway_algos.batches.layout import Layout
+from headway_algos.batches.minibatches import Piece, even_slices, minibatches
 from headway_algos.networks.timeline import Timeline
 
 
@@ -148,19 +149,19 @@ def learning_batches(
     generators: Sequence[np.random.Generator],
     epochs: int,
     parts: int,
-    piece_samples: int | None,
+    piece_samples: int,
     layout: Layout,
 ) -> Iterator[tuple[list[Piece], NDArray[np.bool_]]]:
     """Yield shuffled minibatches of selected rows (P, B), or of whole sequences that contain such rows.
 
-    See `headway_algos.batches.layout.minibatches`. A network with fewer rows (or sequences) than minibatches
-    takes fewer steps.
+    See `headway_algos.batches.minibatches.minibatches`. A network with fewer rows (or sequences) than
+    minibatches takes fewer steps.
     """
     if sequences is None:
         yield from minibatches(selected, generators, epochs, parts, piece_samples, layout)
         return
     rows = torch.from_numpy(selected).to(layout.device)
-    samples = None if piece_samples is None else max(piece_samples // sequences.length, 1)
+    samples = max(piece_samples // sequences.length, 1)
     for pieces, active in minibatches(
         sequences.holding(selected), generators, epochs, parts, samples, layout
     ):

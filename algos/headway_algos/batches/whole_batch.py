@@ -9,14 +9,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway_algos.batches.layout import Piece, even_slices
+from headway_algos.batches.minibatches import Piece, even_slices
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.networks.timeline import Timeline
 
 
 @dataclass(frozen=True)
 class WholeBatch:
-    """Each policy's selected rows in order, padded to W, the largest number that a policy has.
+    """Each policy's selected rows in order, padded to W, the largest number of selected rows of a policy.
 
     For recurrent policies W = L x U: U whole sequences of L steps that contain selected rows, step-major.
     """
@@ -26,7 +26,7 @@ class WholeBatch:
     masks: Tensor | None
     """(P, W, A) action masks"""
     actions: Tensor
-    """(P, W) for Discrete, (P, W, A) for Box"""
+    """(P, W) for Discrete, (P, W, choices) for MultiDiscrete, (P, W, A) for Box"""
     log_probs: Tensor
     """(P, W), under the parameters that sampled the actions."""
     advantages: Tensor

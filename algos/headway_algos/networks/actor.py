@@ -8,12 +8,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from headway.contracts import Box, Discrete, EnvSpec
+from headway.contracts import Box, Discrete, EnvSpec, MultiDiscrete
 from headway_algos.acting.mlp import actor_outputs
 from headway_algos.config import ModelConfig
-from headway_algos.networks.distributions import DiagonalGaussian, Distribution, MaskedCategorical
-from headway_algos.networks.gru import RecurrentNetwork, make_network
+from headway_algos.networks.distributions import (
+    CategoricalProduct,
+    DiagonalGaussian,
+    Distribution,
+    MaskedCategorical,
+)
+from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.networks.mlp import acting_arrays
+from headway_algos.networks.network import make_network
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.networks.timeline import Timeline
 
@@ -32,6 +38,8 @@ class Actor(nn.Module):
             logits = torch.tensor(model.initial_logits, dtype=dtype)[None, :, None]
             self.network.biases[-1].data += logits
         self.moments = RunningStatistics(len(seeds) * policies, spec.observation_size)
+        self.nvec = spec.action_space.nvec if isinstance(spec.action_space, MultiDiscrete) else ()
+        """Options of each choice of MultiDiscrete actions; empty for others."""
         self.log_std: nn.Parameter | None = None
         if isinstance(spec.action_space, Box):
             shape = (len(seeds) * policies, outputs, 1)
@@ -48,6 +56,8 @@ class Actor(nn.Module):
 
         `log_std` replaces the current log standard deviation of Box actions.
         """
+        if self.nvec:
+            return CategoricalProduct.of_logits(outputs, masks, self.nvec)
         if self.log_std is None:
             return MaskedCategorical.of_logits(outputs, masks)
         return DiagonalGaussian(outputs, self.log_std if log_std is None else log_std)

@@ -17,8 +17,7 @@ from torch import Tensor, nn
 
 from headway.contracts import HeadwayError
 from headway_algos.acting.mlp import layer_sizes
-from headway_algos.config import ModelConfig
-from headway_algos.networks.mlp import HIDDEN_GAIN, StackedMLP, activated_layer, stacked_matrices
+from headway_algos.networks.mlp import HIDDEN_GAIN, activated_layer, stacked_matrices
 from headway_algos.networks.timeline import Timeline, hold_hidden, reset_hidden
 
 
@@ -34,7 +33,7 @@ def gated_step(from_input: Tensor, hidden: Tensor, weight: Tensor, bias: Tensor)
 class RecurrentNetwork(nn.Module):
     """P networks of hidden layers, M gated recurrent units and an output layer.
 
-    Initialised like `StackedMLP`; the units' matrices of r, z and c are orthogonal each.
+    Initialised like `StackedMLP`; each of the units' matrices for r, z and c is orthogonal.
     """
 
     def __init__(
@@ -114,24 +113,3 @@ def _steps(rows: Tensor | None, width: int) -> Iterator[Tensor | None]:
             yield None
     # The gradient of one split is assembled once; the gradient of each slice would be as large as `rows`.
     yield from torch.split(rows, width, dim=2)
-
-
-Network = StackedMLP | RecurrentNetwork
-
-
-def make_network(
-    model: ModelConfig,
-    seeds: Sequence[int],
-    networks_per_seed: int,
-    purpose: str,
-    sizes: tuple[int, int],
-    last_gain: float,
-    dtype: torch.dtype,
-) -> Network:
-    """Return stacked networks as configured, for `sizes` (inputs, outputs)."""
-    full = (sizes[0], model.hidden, sizes[1])
-    if model.core == "none":
-        return StackedMLP(seeds, networks_per_seed, purpose, full, model.activation, last_gain, dtype)
-    return RecurrentNetwork(
-        seeds, networks_per_seed, purpose, full, model.activation, last_gain, dtype, model.gru_size
-    )

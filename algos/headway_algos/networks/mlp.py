@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from headway.contracts import generator
 from headway_algos.acting.mlp import layer_sizes
+from headway_algos.kernels import TANH, activate_stack, evaluate
 from headway_algos.networks.timeline import Timeline
 
 HIDDEN_GAIN = {"tanh": 5 / 3, "relu": 2**0.5}
@@ -31,10 +32,12 @@ def orthogonal(random: np.random.Generator, rows: int, columns: int, gain: float
 
 
 def _tanh_of_affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """Return tanh(W x + b) by numpy's tanh, which is faster: 51 us against torch's 676 (one thread,
-    AVX-512)."""
-    h = torch.bmm(weight, x).add_(bias)
-    array = h.numpy()
+    """Return tanh(W x + b) on a CPU, by kernel or numpy: torch's own tanh takes ten times as long."""
+    h = torch.bmm(weight, x)
+    if h.dtype == torch.float32:
+        activate_stack(h.numpy(), np.ascontiguousarray(bias.detach()[..., 0].numpy()), TANH)
+        return h
+    array = h.add_(bias).numpy()
     np.tanh(array, out=array)
     return h
 
@@ -134,6 +137,9 @@ class StackedMLP(nn.Module):
 
     def forward(self, rows: Tensor, timeline: Timeline | None = None) -> Tensor:
         """Return outputs (P, out, B) for rows (P, B, in); `timeline` is ignored."""
+        if not (torch.is_grad_enabled() or rows.is_cuda) and rows.dtype == torch.float32:
+            layers = [(weight.detach().numpy(), bias.detach().numpy()) for weight, bias in self.by_layer()]
+            return torch.from_numpy(evaluate(layers, rows.numpy(), self.activation))
         # Activations are freed as soon as the next layer has used them.
         return deque(self.layers(rows), maxlen=1).pop()
 

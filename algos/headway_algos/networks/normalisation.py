@@ -1,31 +1,33 @@
 """Running means and standard deviations, one set per network of a stack."""
 
+from math import inf
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from headway_algos.acting.mlp import OBSERVATION_CLIP
-
-_LOOP_MIN_VALUES = 8192
-"""Values per network from which, on a CPU, a loop over networks is faster than masked sums over all rows."""
-_ROWS_PER_COPY = 8192
-"""Rows gathered at a time before conversion to float64, which bounds temporary memory."""
+from headway_algos.kernels import write_moments
 
 
 class RunningStatistics(nn.Module):
-    """Mean and variance of all rows included so far, (P, 1, size) each, float64.
+    """Mean and variance of the rows included so far, (P, 1, size) each, float64.
 
     Combined by the parallel formula of Chan, Golub and LeVeque (1979). The mean starts at 0; the variance is
-    1 until two rows were included. Stored as buffers, so that checkpoints contain them.
+    1 until two rows have been included. Stored as buffers, so that checkpoints contain them.
+
+    When a batch is included, all earlier ones together weigh at most as much as `memory` rows or as `batches`
+    like the new one, whichever is more: old batches are forgotten exponentially.
     """
 
     count: Tensor
     mean: Tensor
     variance: Tensor
 
-    def __init__(self, stack: int, size: int) -> None:
+    def __init__(self, stack: int, size: int, memory: float = inf, batches: float = 0.0) -> None:
         super().__init__()
+        self.memory, self.batches = memory, batches
         self.register_buffer("count", torch.zeros(stack, 1, 1, dtype=torch.float64))
         self.register_buffer("mean", torch.zeros(stack, 1, size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(stack, 1, size, dtype=torch.float64))
@@ -33,22 +35,26 @@ class RunningStatistics(nn.Module):
         """Count (P, 1, 1), mean and sum of squared deviations (P, 1, size) of the last batch included."""
 
     def include(self, rows: Tensor, selected: NDArray[np.bool_] | None = None) -> None:
-        """Include rows (P, B, size) where `selected` (P, B) is true; other rows may hold anything."""
+        """Include rows (P, B, size) where `selected` (P, B) is true; other rows may have any values."""
         chosen = np.ones(rows.shape[:2], np.bool_) if selected is None else selected
         count = torch.from_numpy(chosen.sum(axis=1, keepdims=True)[..., None]).to(rows.device).double()
-        # Decided by the size per network: the order of summation must not depend on the stack.
-        loop = rows.device.type == "cpu" and rows[0].numel() >= _LOOP_MIN_VALUES
-        mean, squares = (_deviations_looped if loop else _deviations)(rows, chosen, count.clamp(min=1))
+        if rows.is_cuda:
+            mean, squares = _deviations(rows, chosen, count.clamp(min=1))
+        else:
+            mean, squares = torch.empty_like(self.mean), torch.empty_like(self.variance)
+            chosen, results = np.ascontiguousarray(chosen), (mean[:, 0].numpy(), squares[:, 0].numpy())
+            write_moments(rows.contiguous().numpy(), chosen, *results)
         self.latest = count, mean, squares
         self.add(count, mean, squares)
 
     def add(self, count: Tensor, mean: Tensor, squares: Tensor) -> None:
         """Include a batch, given its count (P, 1, 1), mean and sum of squared deviations (P, 1, size)."""
-        total = self.count + count
+        known = torch.minimum(self.count, (self.batches * count).clamp(min=self.memory))
+        total = known + count
         share = count / total.clamp(min=1)
         shift = mean - self.mean
-        old_squares = torch.where(self.count > 1, self.variance * self.count, 0)
-        new_squares = old_squares + squares + shift**2 * self.count * share
+        old_squares = torch.where(known > 1, self.variance * known, 0)
+        new_squares = old_squares + squares + shift**2 * known * share
         self.mean += shift * share
         self.variance = torch.where(total > 1, new_squares / total.clamp(min=1), self.variance)
         self.count = total
@@ -78,19 +84,3 @@ def _deviations(rows: Tensor, chosen: NDArray[np.bool_], count: Tensor) -> tuple
     values = torch.where(taken, rows, 0).double()
     mean = values.sum(1, keepdim=True) / count
     return mean, torch.where(taken, values - mean, 0).square().sum(1, keepdim=True)
-
-
-def _deviations_looped(rows: Tensor, chosen: NDArray[np.bool_], count: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the results of `_deviations` from the chosen rows only, network by network."""
-    parts = []
-    for of_network, which, number in zip(rows, chosen, count, strict=True):
-        row_index = torch.from_numpy(np.flatnonzero(which)).to(rows.device)
-        # One float64 copy, changed in place: it takes twice the memory of float32 rows.
-        values = torch.empty((len(row_index), rows.shape[2]), dtype=torch.float64, device=rows.device)
-        for first in range(0, len(row_index), _ROWS_PER_COPY):
-            part = slice(first, first + _ROWS_PER_COPY)
-            values[part] = of_network.index_select(0, row_index[part])
-        mean = values.sum(0, keepdim=True) / number
-        parts.append((mean, values.sub_(mean).square_().sum(0, keepdim=True)))
-    means, squares = zip(*parts, strict=True)
-    return torch.stack(means), torch.stack(squares)

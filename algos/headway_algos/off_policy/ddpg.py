@@ -107,7 +107,7 @@ class DeterministicPolicyGradient:
         return self.actor_optimiser.step(active)
 
     def _outputs(self, actor: StackedMLP, observations: Tensor) -> Tensor:
-        """(P, A, b): what the tanh of mu(o) gets."""
+        """Return the network outputs (P, A, b), before the tanh of mu(o)."""
         outputs: Tensor = actor(observations)
         return outputs * self.free[:, None]
 

@@ -1,5 +1,7 @@
-"""Deep Q-learning on a stack of networks (Mnih et al. 2015, doi 10.1038/nature14236; double Q-learning: van
-Hasselt et al. 2016, arXiv:1509.06461)."""
+"""Deep Q-learning on a stack of networks (Mnih et al. 2015, doi 10.1038/nature14236).
+
+Double Q-learning: van Hasselt et al. 2016, arXiv:1509.06461.
+"""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar

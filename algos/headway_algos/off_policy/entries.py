@@ -6,9 +6,10 @@ import numpy as np
 
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Lazy
 from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
-from headway_algos.grouping import Grouping, missing_groups
-from headway_algos.recipes import ddpg, madqn
-from headway_algos.replay_config import ReplayConfig
+from headway_algos.agent_id import agent_ids, impossible_ids
+from headway_algos.grouping import Grouping
+from headway_algos.recipes.ddpg import DDPGConfig
+from headway_algos.replay_config import ReplayConfig, ReplayRecipe
 
 LEARNER = Lazy("headway_algos.off_policy.learner:OffPolicyLearner")
 
@@ -17,40 +18,40 @@ def _kind(spec: EnvSpec) -> str:
     return type(spec.action_space).__name__
 
 
-def _madqn_refuses(config: madqn.MADQNConfig, spec: EnvSpec) -> str | None:
+def _refuses_all_but_discrete(config: ReplayConfig, spec: EnvSpec) -> str | None:
     if not isinstance(spec.action_space, Discrete):
-        instead = "; use algo=ddpg" if isinstance(spec.action_space, Box) else ""
+        instead = "ddpg" if isinstance(spec.action_space, Box) else "ippo"
         return (
             f"{config.name} takes Discrete actions, whose values it compares, and {spec.name} has "
-            f"{_kind(spec)} ones{instead}"
+            f"{_kind(spec)} ones; use algo={instead}"
         )
-    return missing_groups(config.policies, spec)
+    return impossible_ids(config, spec)
 
 
-def _ddpg_refuses(config: ddpg.DDPGConfig, spec: EnvSpec) -> str | None:
+def _refuses_all_but_bounded(config: ReplayConfig, spec: EnvSpec) -> str | None:
     space = spec.action_space
     if not isinstance(space, Box):
-        instead = "; use algo=madqn" if isinstance(space, Discrete) else ""
+        instead = "madqn" if isinstance(space, Discrete) else "ippo"
         return (
             f"{config.name} takes Box actions, for which its critic has gradients, and {spec.name} has "
-            f"{_kind(spec)} ones{instead}"
+            f"{_kind(spec)} ones; use algo={instead}"
         )
-    if not np.isfinite((space.low, space.high)).all():
+    if not space.bounded:
         return (
             f"{config.name} takes bounded Box actions, which it scales to the bounds, and {spec.name} has "
             "unbounded ones; use an algorithm with Gaussian actions, such as algo=ippo"
         )
-    return missing_groups(config.policies, spec)
+    return impossible_ids(config, spec)
 
 
-def _epsilon_greedy(config: madqn.MADQNConfig, spec: EnvSpec) -> EpsilonGreedyPolicy:
-    if (line := _madqn_refuses(config, spec)) is not None:
+def _epsilon_greedy(config: ReplayConfig, spec: EnvSpec) -> EpsilonGreedyPolicy:
+    if (line := _refuses_all_but_discrete(config, spec)) is not None:
         raise HeadwayError(line)
     return EpsilonGreedyPolicy.of(config, spec)
 
 
-def _ornstein_uhlenbeck(config: ddpg.DDPGConfig, spec: EnvSpec) -> OrnsteinUhlenbeckPolicy:
-    if (line := _ddpg_refuses(config, spec)) is not None:
+def _ornstein_uhlenbeck(config: DDPGConfig, spec: EnvSpec) -> OrnsteinUhlenbeckPolicy:
+    if (line := _refuses_all_but_bounded(config, spec)) is not None:
         raise HeadwayError(line)
     return OrnsteinUhlenbeckPolicy.of(config, spec, config.ou_theta, config.ou_sigma)
 
@@ -65,26 +66,25 @@ def _replay_bytes(config: ReplayConfig, spec: EnvSpec, env_steps: int) -> int:
     space = spec.action_space
     mask = space.n if spec.has_action_mask and isinstance(space, Discrete) else 0
     action = 4 * space.size if isinstance(space, Box) else 8
-    return transitions * (2 * 4 * spec.observation_size + action + mask + 2 * 8)
+    size = spec.observation_size + int(agent_ids(config, spec).shape[1])
+    return transitions * (2 * 4 * size + action + mask + 2 * 8)
 
 
-OFF_POLICY = {
-    "ddpg": AlgoEntry(
-        ddpg.SUMMARY,
-        ddpg.SOURCE,
-        ddpg.DDPGConfig,
-        _ornstein_uhlenbeck,
-        partial(LEARNER, method=Lazy("headway_algos.off_policy.ddpg:DeterministicPolicyGradient")),
-        _ddpg_refuses,
+def _rollout(config: ReplayConfig) -> dict[str, int]:
+    # Learning follows each iteration, so iterations must be short.
+    return {"steps": 32}
+
+
+def replay_entry(recipe: ReplayRecipe) -> AlgoEntry:
+    """Return the registry entry of an off-policy algorithm."""
+    discrete = recipe.actions is Discrete
+    return AlgoEntry(
+        recipe.summary,
+        recipe.source,
+        recipe.config,
+        _epsilon_greedy if discrete else _ornstein_uhlenbeck,
+        partial(LEARNER, method=recipe.method),
+        _refuses_all_but_discrete if discrete else _refuses_all_but_bounded,
         _replay_bytes,
-    ),
-    "madqn": AlgoEntry(
-        madqn.SUMMARY,
-        madqn.SOURCE,
-        madqn.MADQNConfig,
-        _epsilon_greedy,
-        partial(LEARNER, method=Lazy("headway_algos.off_policy.dqn:QLearning")),
-        _madqn_refuses,
-        _replay_bytes,
-    ),
-}
+        rollout=_rollout,
+    )

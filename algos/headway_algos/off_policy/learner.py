@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import EnvSpec, Trajectory, generator
+from headway_algos.agent_id import agent_ids, spec_with_ids, trajectory_with_ids
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_stack import Stack, resolve_device
+from headway_algos.batches.policy_stack import Stack, mean_per_replica, resolve_device
 from headway_algos.grouping import Grouping
 from headway_algos.networks.mlp import StackedMLP, acting_arrays
 from headway_algos.networks.normalisation import RunningStatistics
@@ -55,6 +56,8 @@ class OffPolicyLearner:
     def __init__(
         self, config: ReplayConfig, spec: EnvSpec, seeds: Sequence[int], device: str, method: MakeMethod
     ) -> None:
+        self.agent_ids = agent_ids(config, spec)
+        spec = spec_with_ids(spec, self.agent_ids)
         self.config, self.spec, self.seeds = config, spec, tuple(seeds)
         self.device, self.dtype = resolve_device(device), getattr(torch, config.precision)
         self.grouping = Grouping.of(config.policies, spec)
@@ -95,6 +98,7 @@ class OffPolicyLearner:
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """Store the iteration's transitions, then take `updates` gradient steps."""
+        trajectory = trajectory_with_ids(trajectory, self.agent_ids)
         explored = self.exploration
         self.method.anneal(1 - (1 - self.config.lr_end) * progress)
         self._update_normaliser(trajectory)
@@ -103,13 +107,11 @@ class OffPolicyLearner:
         steps, copies = trajectory.rewards.shape[:2]
         self.progress, self.scheduled_steps = progress, self.env_steps
         self.env_steps += steps * copies // len(self.seeds)
-        self.stack.raise_if_diverged(
-            self.acting_parameters(), self.config.name, iteration, "lower algo.lr, scale rewards down"
-        )
+        self.stack.raise_if_diverged(self.acting_parameters(), self.config, f"iteration {iteration}")
         held = torch.from_numpy(self.replay.filled)
-        metrics = {name: self.stack.per_replica(value) for name, value in info.items()}
+        metrics = {name: mean_per_replica(value, len(self.seeds)) for name, value in info.items()}
         return metrics | {
-            "memory/transitions": self.stack.per_replica(held),
+            "memory/transitions": mean_per_replica(held, len(self.seeds)),
             "policy/exploration": np.full(len(self.seeds), explored),
         }
 
@@ -126,14 +128,13 @@ class OffPolicyLearner:
         self.replay.add(replicas * self.grouping.num_policies + self.policy_of[agents], transitions)
 
     def _learn(self, iteration: int) -> dict[str, Tensor]:
-        """Return metrics (P,) as means over the gradient steps; 0 for policies that took none."""
+        """Return metrics (P,) as means over the gradient steps; NaN for policies that took none."""
         active = self.replay.filled >= self.config.learning_starts
         sums = {
             name: torch.zeros(len(active), device=self.device, dtype=self.dtype)
             for name in self.method.METRICS
         }
-        if not active.any():
-            return sums
+        stepped = torch.from_numpy(active).to(self.device)
         policies = range(self.grouping.num_policies)
         random = [generator(seed, "replay", k, iteration) for seed in self.seeds for k in policies]
         updates = self.config.updates
@@ -141,7 +142,7 @@ class OffPolicyLearner:
             batch = self.replay.batch(slots, self.dtype)
             for name, value in self.method.learn(self._normalised(batch), active).items():
                 sums[name] += value / updates
-        return sums
+        return {name: torch.where(stepped, value, torch.nan) for name, value in sums.items()}
 
     def _normalised(self, batch: Batch) -> Batch:
         if not self.config.normalise_observations:
@@ -169,11 +170,11 @@ class OffPolicyLearner:
         self.progress, self.scheduled_steps = state["progress"], state["scheduled_steps"]
         self.env_steps = state["env_steps"]
 
-    def experience(self) -> dict[str, Any]:
+    def replay_state(self) -> dict[str, Any]:
         """Return the stored transitions and the open decisions."""
         return {"memory": self.replay.state_dict(), "open": self.transition_builder.state_dict()}
 
-    def load_experience(self, experience: dict[str, Any]) -> None:
-        """Restore the result of `experience`."""
-        self.replay.load_state_dict(experience["memory"])
-        self.transition_builder.load_state_dict(experience["open"])
+    def load_replay_state(self, state: dict[str, Any]) -> None:
+        """Restore the result of `replay_state`."""
+        self.replay.load_state_dict(state["memory"])
+        self.transition_builder.load_state_dict(state["open"])

@@ -5,6 +5,9 @@ the next decision are credited to it, and the value there is discounted by the n
 (Sutton, Precup and Singh 1999, "Between MDPs and semi-MDPs", section 3):
 
     G = r_t + gamma r_{t+1} + ... + gamma^(k-1) r_{t+k-1},   target = G + gamma^k V(o_{t+k})
+
+With a shared reward, the return of an agent that has left continues with its team's rewards until the episode
+ends. If the episode is truncated, the target bootstraps from the agent's own last observation.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -14,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Discrete, EnvSpec, Trajectory
-from headway_algos.batches.layout import last_known_masks, zero_where_absent
+from headway_algos.batches.layout import zero_where_absent
+from headway_algos.batches.stream_ends import last_known_masks, return_ends
 
 Array = NDArray[np.float64]
 
@@ -59,7 +63,7 @@ class OpenDecisions:
     discounts: Array
     """(B,): discount of the next reward or value."""
     ahead: NDArray[np.int64]
-    """(B,): number of decisions still to pass before the transition is complete."""
+    """(B,): number of further decisions until the transition is complete."""
     masks: NDArray[np.bool_]
     """(B, A): the last known action masks; (B, 0) if the environment has none."""
 
@@ -109,7 +113,8 @@ class TransitionBuilder:
     """Converts trajectories to transitions; decisions open at the end of an iteration continue in the next.
 
     Without snapshots (`EnvSpec.snapshots`), episodes may restart between iterations when a run is resumed.
-    Open transitions then end with the iteration, at the last observation.
+    Open transitions then end with the iteration and bootstrap from the agent's last observation, even if the
+    agent is absent by then: dropping them would select against long absences.
     """
 
     def __init__(self, spec: EnvSpec, gamma: float, n_step: int) -> None:
@@ -119,7 +124,7 @@ class TransitionBuilder:
     def transitions(self, trajectory: Trajectory) -> Transitions:
         """Return the transitions that this trajectory completes."""
         decides = trajectory.alive[:-1] & trajectory.acting
-        spans = Spans.of(trajectory.rewards, trajectory.terminated, trajectory.truncated, decides, self.gamma)
+        spans = Spans.of(trajectory.rewards, *return_ends(trajectory, self.spec), decides, self.gamma)
         decisions, ends = self._extend(*self._decisions(trajectory, decides, spans), spans)
         return self._close(trajectory, decisions, ends)
 
@@ -181,10 +186,11 @@ class TransitionBuilder:
         if self.spec.has_action_mask:
             masks = last_known_masks(trajectory, (last_step, copies, agents), decisions.masks)
             decisions = replace(decisions, masks=masks)
+        last_seen = steps - trajectory.alive[::-1].argmax(axis=0)
+        ends = np.where(continues, last_seen[copies, agents], ends)
+        complete = np.ones_like(continues)
         if self.spec.snapshots:
             self.open, complete = decisions.where(continues), ~continues
-        else:
-            complete = ~continues | trajectory.alive[-1, copies, agents]
         ends, copies, agents = ends[complete], copies[complete], agents[complete]
         stream_ended = stream_ended[complete]
         final_step = last_step[complete], copies, agents

@@ -10,11 +10,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import Contribution, EnvSpec, HeadwayError, Trajectory
+from headway.contracts import Contribution, EnvSpec, Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.on_policy.updates.config import StepConfig
 from headway_algos.on_policy.updates.gradient_update import GradientUpdate
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.recipes.a3c import A3CConfig
@@ -85,10 +86,11 @@ class A2CContributor:
     It updates a local copy of the learner, which the next published parameters replace.
     """
 
-    def __init__(self, config: A3CConfig, spec: EnvSpec, seeds: Sequence[int]) -> None:
+    def __init__(self, config: StepConfig, spec: EnvSpec, seeds: Sequence[int]) -> None:
         torch.set_num_threads(1)
         _return_large_blocks()
         self.learner = OnPolicyLearner(replace(config, grad_clip=None), spec, seeds, "cpu")
+        self.learner.unit = "contribution"
         self.shared = _Shared.of(self.learner)
 
     def adopt(self, published: Parameters) -> Parameters:
@@ -104,10 +106,7 @@ class A2CContributor:
         """
         optimisers = self.shared.optimisers
         counts = {part: optimiser.counts.copy() for part, optimiser in optimisers.items()}
-        try:
-            metrics = self.learner.update(trajectory, number, 0.0)
-        except HeadwayError as error:
-            raise HeadwayError(str(error).replace("iteration", "contribution")) from error
+        metrics = self.learner.update(trajectory, number, 0.0)
         arrays: dict[str, NDArray[Any]] = {}
         for part, optimiser in optimisers.items():
             arrays[f"{part}.active"] = optimiser.counts > counts[part]
@@ -158,6 +157,4 @@ class AsynchronousA2CLearner(OnPolicyLearner):
             if name in arrays:
                 count, mean, squares = torch.as_tensor(arrays[name], device=self.device)
                 moments.add(count[..., :1], mean, squares)
-        self.stack.raise_if_diverged(
-            self.acting_parameters(), self.config.name, iteration, "lower algo.lr and algo.critic_lr"
-        )
+        self.stack.raise_if_diverged(self.acting_parameters(), self.config, f"iteration {iteration}")

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from headway.contracts import ActingPolicy, Observations, RecurrentPolicy
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.batches.hidden_states import HiddenStates
-from headway_algos.batches.layout import Layout, even_slices, zero_where_absent
+from headway_algos.batches.layout import Layout, zero_where_absent
+from headway_algos.batches.minibatches import even_slices
 from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import MaskedCategorical
@@ -86,7 +87,7 @@ class BehaviourPolicy:
 
 
 def _by_replica(array: NDArray[Any], replicas: int) -> NDArray[Any]:
-    """Convert (M, C, ...) to (R x M x E, ...): time points of a replica become copies of it."""
+    """Convert (M, C, ...) to (R x M x E, ...), so that a replica's M time points count as copies."""
     points, copies, *rest = array.shape
     split = array.reshape(points, replicas, copies // replicas, *rest)
     return np.moveaxis(split, 1, 0).reshape(points * copies, *rest)

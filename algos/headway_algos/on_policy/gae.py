@@ -1,6 +1,7 @@
 """Generalised advantage estimation (Schulman et al. 2015, arXiv:1506.02438), counterfactual advantages."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,36 +29,38 @@ def generalised_advantages(
     While an agent is absent (`present` (T + 1, C, N) false) but its stream continues, its discounted rewards
     are credited to its last action before (a semi-Markov step: Sutton, Precup and Singh 1999, "Between MDPs
     and semi-MDPs"). Advantages of absent steps are 0 and values there are ignored; the value of an agent
-    absent after the last step is 0. A reward that is NaN or infinite counts as 0.
+    absent after the last step is 0. A reward that is NaN or infinite counts as 0. The recursion is
+    `kernels.gae.write_advantages`.
     """
-    rewards = np.where(np.isfinite(rewards), rewards, 0)
-    advantages = np.zeros_like(rewards)
-    next_value = np.where(present[-1], values[-1], 0)
-    next_advantage = np.zeros_like(next_value)
-    for t in range(rewards.shape[0] - 1, -1, -1):
-        ended = terminated[t] | truncated[t]
-        after = np.where(ended, np.where(truncated[t] & ~terminated[t], final_values[t], 0), next_value)
-        returns = rewards[t] + gamma * after
-        carried = np.where(ended, 0, next_advantage)
-        delta = returns - np.where(present[t], values[t], 0)
-        advantages[t] = np.where(present[t], delta + gamma * gae_lambda * carried, 0)
-        next_value = np.where(present[t], values[t], returns)
-        next_advantage = np.where(present[t], advantages[t], gamma * carried)
+    from headway_algos.kernels import write_advantages
+
+    advantages = np.empty(rewards.shape)
+    given = (rewards, values, final_values, terminated, truncated, present)
+    arrays: list[Any] = [np.ascontiguousarray(array).reshape(len(array), -1) for array in given]
+    write: Callable[..., None] = write_advantages
+    write(*arrays, gamma, gae_lambda, advantages.reshape(len(advantages), -1))
     return advantages
 
 
-def with_teammates_values(
-    values: Array, present: NDArray[np.bool_], teams: Sequence[str] = ()
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return values and presence (..., N), filled in for absent agents.
+def last_known_values(values: Array, present: NDArray[np.bool_]) -> Array:
+    """Return each agent's value (C, N) at the last of T steps, (T, C, N), at which it is present; else 0."""
+    rows_since = present[::-1].argmax(axis=0)
+    known = np.take_along_axis(values, len(values) - 1 - rows_since[None], axis=0)[0]
+    return np.where(present.any(axis=0), known, 0)
 
-    Such an agent gets the mean value of the agents present in its copy, of its own team if `teams` (N,) names
-    the agents' teams. Agents with a shared reward expect the same return; a value of 0 would make leaving
-    look costly (or, with negative rewards, profitable).
+
+def with_teammates_values(
+    values: Array, present: NDArray[np.bool_], teams: Sequence[str]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return values and presence (..., N), with the values of absent agents filled in from their teammates.
+
+    An absent agent gets the mean value of its team's agents present in its copy, if any; `teams` (N,) names
+    the agents' teams. Agents with a shared reward have the same expected return; a value of 0 would make
+    leaving look costly (or, with negative rewards, profitable).
     """
     values, present = values.copy(), present.copy()
     names = np.array(teams)
-    for members in [slice(None)] if not teams else [np.flatnonzero(names == team) for team in set(teams)]:
+    for members in [np.flatnonzero(names == team) for team in set(teams)]:
         here, known = present[..., members], values[..., members]
         count = here.sum(axis=-1, keepdims=True)
         mean = np.where(here, known, 0).sum(axis=-1, keepdims=True) / np.maximum(count, 1)

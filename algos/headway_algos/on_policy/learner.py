@@ -1,6 +1,7 @@
 """The on-policy learner: critic x update x order, on one stack of policies."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,25 +10,35 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import EnvSpec, HeadwayError, Trajectory, generator
-from headway_algos.acting.gru import acting_policy
+from headway_algos.acting.policy import acting_policy
+from headway_algos.agent_id import agent_ids, spec_with_ids, trajectory_with_ids
 from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch, standardise
-from headway_algos.batches.policy_stack import Stack, resolve_device
-from headway_algos.components import critics, updates
+from headway_algos.batches.policy_stack import Stack, mean_per_replica, remedy, resolve_device
+from headway_algos.components import component
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
 from headway_algos.on_policy.critics import Critic
-from headway_algos.on_policy.orders import ORDERS
+from headway_algos.on_policy.orders import Order
+from headway_algos.on_policy.updates import Update
 
 
 class OnPolicyLearner:
     """A `headway.contracts.Learner` composed of a critic, an update and an order."""
 
-    def __init__(self, config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> None:
+    unit = "iteration"
+    """What `update` counts, for error lines."""
+
+    def __init__(
+        self, config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str, step_scale: float = 1.0
+    ) -> None:
+        """`step_scale`: factor on the learning rates; KL bounds are multiplied by its square."""
+        self.step_scale, self.agent_ids = step_scale, agent_ids(config, spec)
+        spec = spec_with_ids(spec, self.agent_ids)
         self.config, self.spec, self.seeds = config, spec, tuple(seeds)
         self.device, self.dtype = resolve_device(device), getattr(torch, config.precision)
         self.grouping = Grouping.of(config.policies, spec)
@@ -35,11 +46,13 @@ class OnPolicyLearner:
         self.layout = Layout(self.grouping, len(seeds), self.device, self.dtype)
         policies = self.grouping.num_policies
         self.actor = Actor(config.model, spec, seeds, policies, self.dtype).to(self.device)
-        self.policy_update = updates()[config.update](self.actor, config, self.layout)
-        self.critic: Critic = critics()[config.critic](
+        self.policy_update: Update = component("update", config.update).make(self.actor, config, self.layout)
+        self.critic: Critic = component("critic", config.critic).make(
             config, spec, self.grouping, seeds, self.device, self.dtype
         )
-        self.behaviour = BehaviourPolicy(config, self.actor, acting_policy(config, spec), self.layout)
+        # Observations of the trajectory include the indices already.
+        acting = acting_policy(replace(config, agent_id=False), spec)
+        self.behaviour = BehaviourPolicy(config, self.actor, acting, self.layout)
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
         """Return the actor's tensors and normaliser, as named by the acting policy."""
@@ -49,8 +62,8 @@ class OnPolicyLearner:
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """Compute advantages, then update policies, critic and normalisers, in this order."""
-        trajectory = self._drop_unused_slots(trajectory)
-        share = 1 - (1 - self.config.lr_end) * progress
+        trajectory = self._drop_unused_slots(trajectory_with_ids(trajectory, self.agent_ids))
+        share = self.step_scale * (1 - (1 - self.config.lr_end) * progress)
         self.policy_update.anneal(share)
         self.critic.anneal(share)
         observations = self._observations(trajectory)
@@ -61,13 +74,11 @@ class OnPolicyLearner:
         self._raise_if_critic_diverged(estimate.advantages, iteration)
         info = self._improve_policies(trajectory, observations, hidden_states, estimate.advantages, iteration)
         critic_metrics = self.critic.fit(estimate, iteration)
-        # Each is as large as all observations; free them before the normalisers allocate as much again.
+        # Each of these is as large as all observations; the normalisers allocate as much again.
         del observations, hidden_states, estimate
         self._update_normalisers(trajectory)
-        self.stack.raise_if_diverged(
-            self.acting_parameters(), self.config.name, iteration, "lower algo.lr and algo.critic_lr"
-        )
-        metrics = {f"policy/{name}": self.stack.per_replica(value) for name, value in info.items()}
+        self.stack.raise_if_diverged(self.acting_parameters(), self.config, f"{self.unit} {iteration}")
+        metrics = {f"policy/{name}": mean_per_replica(value, len(self.seeds)) for name, value in info.items()}
         return metrics | {f"critic/{name}": value for name, value in critic_metrics.items()}
 
     def _drop_unused_slots(self, trajectory: Trajectory) -> Trajectory:
@@ -75,11 +86,14 @@ class OnPolicyLearner:
 
         Valid only if agents are exchangeable: shared policy, local critic, no recurrence.
         """
-        exchangeable = self.config.policies == "shared" and self.config.critic == "local"
+        exchangeable = self.grouping.num_policies == 1 and self.config.critic == "local"
         if not exchangeable or self.config.model.core != "none":
             return trajectory
         used = np.flatnonzero(trajectory.alive.any(axis=(0, 1)))
-        return trajectory.of_first_agents(int(used.max(initial=0)) + 1)
+        # A team's return ends when all slots are marked at once (`return_ends`): keep one unused slot, which
+        # is marked only when the episode ends.
+        spare = 1 if self.spec.teams else 0
+        return trajectory.of_first_agents(int(used.max(initial=0)) + 1 + spare)
 
     def _observations(self, trajectory: Trajectory) -> Tensor:
         """Return normalised observations (P, B, D), as the networks saw them when acting."""
@@ -129,9 +143,8 @@ class OnPolicyLearner:
             by_policy = standardise(by_policy, torch.from_numpy(selected).to(self.device))
         generators = self._generators("actor minibatch", iteration)
         order_generators = [generator(seed, "agent order", iteration) for seed in self.seeds]
-        return ORDERS[self.config.order](
-            self.policy_update, self.grouping, rows, by_policy, generators, order_generators
-        )
+        improve: Order = component("order", self.config.order).make
+        return improve(self.policy_update, self.grouping, rows, by_policy, generators, order_generators)
 
     def _update_normalisers(self, trajectory: Trajectory) -> None:
         """Include this iteration in the running statistics, which apply from the next one on."""
@@ -151,7 +164,7 @@ class OnPolicyLearner:
             seed = self.seeds[broken[:, 1].min() * len(self.seeds) // advantages.shape[1]]
             raise HeadwayError(
                 f"{self.config.name} diverged: the critic of seed {seed} gives values that are not finite at "
-                f"iteration {iteration}; lower algo.critic_lr, or bound the gradients by algo.grad_clip"
+                f"{self.unit} {iteration}; {remedy(self.config)}"
             )
 
     def _generators(self, purpose: str, iteration: int) -> list[np.random.Generator]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from headway.contracts import EnvSpec, Learner
 from headway_algos.batches.policy_stack import resolve_device
-from headway_algos.config import AlgoConfig
+from headway_algos.config import AlgoConfig, SimultaneousConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.per_seed_learner import PerSeedLearner
 from headway_algos.on_policy.split_learner import SplitLearner
@@ -12,8 +12,13 @@ from headway_algos.on_policy.split_learner import SplitLearner
 
 def make_learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
     """Return a learner for one seed or a stack of seeds (see `headway.contracts.AlgoEntry.learner`)."""
-    make = SplitLearner if config.shared_until > 0 else OnPolicyLearner
     # On a CPU seeds share no matrix product: its rounding may depend on the number of rows.
     if len(seeds) == 1 or resolve_device(device).type != "cpu":
-        return make(config, spec, seeds, device)
-    return PerSeedLearner([make(config, spec, (seed,), device) for seed in seeds])
+        return _one(config, spec, seeds, device)
+    return PerSeedLearner([_one(config, spec, (seed,), device) for seed in seeds])
+
+
+def _one(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
+    if isinstance(config, SimultaneousConfig) and config.shared_until > 0:
+        return SplitLearner(config, spec, seeds, device)
+    return OnPolicyLearner(config, spec, seeds, device)

@@ -27,7 +27,7 @@ def simultaneous(
     generators: Sequence[np.random.Generator],
     order_generators: Sequence[np.random.Generator],
 ) -> dict[str, Tensor]:
-    """Update all policies at once, each with the others as they acted."""
+    """Update all policies at once, on advantages of the policies that acted."""
     return update.improve(rows, advantages, generators)
 
 
@@ -39,12 +39,12 @@ def sequential(
     generators: Sequence[np.random.Generator],
     order_generators: Sequence[np.random.Generator],
 ) -> dict[str, Tensor]:
-    """Update one policy after another, in a random order per replica (Kuba et al. 2022, arXiv:2109.11251,
-    section 4).
+    """Update one policy after another, in a random order per replica.
 
-    The m-th policy is updated with advantages A times the product of pi_new / pi_old over all agents of the
-    policies updated before, at the same step and copy; the ratio is 1 where such an agent was not acting. The
-    factor is positive, so it only rescales the advantages passed to an unchanged update.
+    Source: Kuba et al. 2022, arXiv:2109.11251, section 4. The m-th policy is updated with advantages A times
+    the product of pi_new / pi_old over all agents of the policies updated before, at the same step and copy;
+    the ratio is 1 where such an agent was not acting. The factor is positive, so it only rescales the
+    advantages passed to an unchanged update.
 
     In the paper every agent has its own policy (K = N). Agents of a group that shares a policy are updated
     together. The m-th policies of all replicas are updated in one call.
@@ -76,6 +76,3 @@ def _log_ratio(update: Update, rows: PolicyBatch) -> Tensor:
             log_ratio = new.log_prob(piece.actions) - piece.log_probs
             result.scatter_add_(1, piece.row_index, torch.where(piece.weight > 0, log_ratio, 0).double())
     return result
-
-
-ORDERS: dict[str, Order] = {"simultaneous": simultaneous, "sequential": sequential}

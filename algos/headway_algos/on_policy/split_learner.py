@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import EnvSpec, Trajectory
-from headway_algos.config import AlgoConfig
+from headway_algos.config import SimultaneousConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
 
 
@@ -23,11 +23,11 @@ class SplitLearner:
     At the split each policy gets a copy of the shared one, with its normalisers, critic and optimisers.
     """
 
-    def __init__(self, config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> None:
+    def __init__(self, config: SimultaneousConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> None:
         self.config = config
-        shared = replace(config, policies="shared", shared_until=0.0, apart_lr=1.0)
+        shared = replace(config, policies="shared", agent_id=False, shared_until=0.0, apart_lr=1.0)
         self.shared = OnPolicyLearner(shared, spec, seeds, device)
-        self.separate = OnPolicyLearner(_with_reduced_steps(config), spec, seeds, device)
+        self.separate = OnPolicyLearner(config, spec, seeds, device, config.apart_lr)
         self.is_split = False
 
     @property
@@ -65,23 +65,10 @@ class SplitLearner:
         (self.separate if self.is_split else self.shared).load_state_dict(state["learner"])
 
 
-def _with_reduced_steps(config: AlgoConfig) -> AlgoConfig:
-    """Return the config with learning rates multiplied by `apart_lr`, and KL bounds by its square."""
-    share = config.apart_lr
-    critic_lr = None if config.critic_lr is None else config.critic_lr * share
-    return replace(
-        config,
-        lr=config.lr * share,
-        critic_lr=critic_lr,
-        kl_bound=config.kl_bound * share**2,
-        critic_kl_bound=config.critic_kl_bound * share**2,
-    )
-
-
 def _repeat_per_policy(one: Any, like: Any, times: int) -> Any:  # noqa: ANN401 - states are nested plain values
     """Repeat each tensor (R, ...) of a state to (R x times, ...) if its counterpart in `like` is that long.
 
-    Tensors of which each replica has one only, such as a team's critic, are copied unchanged.
+    Tensors with one entry per replica in both, such as a team's critic, are copied unchanged.
     """
     if isinstance(one, Tensor):
         # `like` is None for the hidden states of a critic before its first update.

@@ -5,13 +5,16 @@ from copy import copy
 from dataclasses import dataclass
 from itertools import accumulate
 from math import inf
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.optim.adam import adam
+
+if TYPE_CHECKING:
+    from headway_algos.kernels import Adam
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-5
 
@@ -20,8 +23,8 @@ class StackedAdam:
     """Adam (Kingma and Ba 2015, arXiv:1412.6980) for all networks of a stack.
 
     `grad_clip` bounds the norm of each network's gradient over all its tensors; None: no bound. Moments and
-    step counts are per network, so its steps do not depend on its stack. The parameters become views of one
-    tensor, so that a step takes a few operations whatever their number.
+    step counts are per network, so a network's steps do not depend on the rest of the stack. The parameters
+    become views of one tensor, so that a step takes a few operations whatever their number.
     """
 
     def __init__(self, parameters: Iterable[nn.Parameter], lr: float, grad_clip: float | None) -> None:
@@ -53,7 +56,7 @@ class StackedAdam:
     def step(self, active: NDArray[np.bool_]) -> Tensor:
         """Clip and apply the gradients since `begin`; return the gradient norms before clipping, (P,).
 
-        Networks not `active` (P,) had no data: they stay unchanged, also by momentum, and their norm is 0.
+        Networks not `active` (P,) had no data: even momentum leaves them unchanged, and their norm is 0.
         Raises RuntimeError if a parameter's storage has been replaced.
         """
         self._collect()
@@ -82,15 +85,20 @@ class StackedAdam:
         return norm
 
     def _step_compiled(self, active: NDArray[np.bool_]) -> Tensor:
-        from headway_algos.optim import kernel
+        from headway_algos.kernels import step_networks
 
-        values, gradient, means, squares = self._arrays
+        values, gradient, _, _ = self._arrays
         norms = np.empty(len(active), values.dtype)
-        kernel.adam(
-            values, gradient, means, squares, self.counts, active, float(self.lr),
-            inf if self.grad_clip is None else float(self.grad_clip), (BETA_1, BETA_2), EPSILON, norms,
-        )  # fmt: skip
+        step_networks(values, gradient, self.compiled(), active, norms)
         return torch.from_numpy(norms)
+
+    def compiled(self) -> "Adam":
+        """Return state and settings for kernels, which change the state in place."""
+        from headway_algos.kernels import Adam
+
+        bound = inf if self.grad_clip is None else float(self.grad_clip)
+        _, _, means, squares = self._arrays
+        return Adam(means, squares, self.counts, float(self.lr), bound, (BETA_1, BETA_2), EPSILON)
 
     def starts(self, parameters: Iterable[nn.Parameter]) -> list[int]:
         """Return the offset of each parameter among the values of its network.

@@ -8,15 +8,19 @@ Vectors (P, V) concatenate all parameters of a policy.
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import accumulate
 
+import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import DiagonalGaussian
 from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.networks.mlp import StackedMLP
+from headway_algos.optim.fast_path import perceptrons_in
 
 FisherProduct = Callable[[Tensor], Tensor]
 """v (P, V) -> F v (P, V)."""
@@ -37,8 +41,50 @@ def unflat(vector: Tensor, like: Sequence[Tensor]) -> list[Tensor]:
 def fisher_product(actor: Actor, batch: WholeBatch, piece_samples: int) -> FisherProduct:
     """Return the product at the actor's current parameters over the batch, by the fastest method."""
     if isinstance(actor.network, StackedMLP):
-        return gauss_newton(actor, batch, piece_samples)
+        return compiled_gauss_newton(actor, batch) or gauss_newton(actor, batch, piece_samples)
     return double_backward(actor, batch, piece_samples)
+
+
+def compiled_gauss_newton(actor: Actor, batch: WholeBatch) -> FisherProduct | None:
+    """Return v -> J^T M J v by compiled kernels, or None if torch is to be used; see `fast_path`."""
+    parameters = actor.learnable
+    values = flat(parameter.detach() for parameter in parameters)
+    result = torch.zeros_like(values)
+    ends = accumulate(parameter[0].numel() for parameter in parameters)
+    starts = {id(p): end - p[0].numel() for p, end in zip(parameters, ends, strict=True)}
+    networks = perceptrons_in(actor.network, values, result, lambda some: [starts[id(p)] for p in some])
+    if networks is None:
+        return None
+    from headway_algos import kernels
+
+    stack, width, inputs = batch.observations.shape
+    counts = (batch.weight > 0).sum(1).numpy()
+    blocks, features = -(-width // kernels.ROWS), len(networks.activations)
+    # Whole blocks: torch may compute the last lanes of a tensor differently, to the last bits.
+    stored = np.zeros((stack, blocks, features, kernels.ROWS), np.float32)
+    none = blocks * kernels.ROWS - width
+    weight = pad(batch.weight, (0, none))[:, None]
+    masks = None if batch.masks is None else pad(batch.masks, (0, 0, 0, none), value=True)
+    index = np.arange(stack * width).reshape(stack, width)
+    rows = batch.observations.contiguous().numpy().reshape(stack * width, inputs)
+    kernels.store_activations(networks, rows, index, counts, stored)
+    size = networks.outputs
+    outputs = stored[:, :, -size:].swapaxes(1, 2).reshape(stack, size, blocks * kernels.ROWS)
+    with torch.no_grad():
+        distribution = actor.distribution(torch.from_numpy(outputs), masks)
+    changes = torch.zeros(stack, size, blocks * kernels.ROWS)
+    has_rows = batch.has_rows.to(batch.weight.dtype).view(-1, 1)
+    free = 0 if actor.log_std is None else parameters[0][0].numel()
+
+    def product(vector: Tensor) -> Tensor:
+        result.zero_()
+        kernels.multiply_jacobian(networks, vector.contiguous().numpy(), stored, counts, changes.numpy())
+        signals = distribution.fisher_of_outputs(changes) * weight
+        kernels.add_transposed_jacobian(networks, signals.contiguous().numpy(), stored, counts)
+        result[:, :free] = DiagonalGaussian.LOG_STD_FISHER * has_rows * vector[:, :free]
+        return result.clone()
+
+    return product
 
 
 def gauss_newton(actor: Actor, batch: WholeBatch, piece_samples: int) -> FisherProduct:

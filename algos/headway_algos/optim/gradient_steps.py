@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway_algos.batches.layout import Piece
+from headway_algos.batches.minibatches import Piece
 
 Learn = Callable[[Piece], Tensor]
 """Adds the gradients of a piece of a minibatch; returns its shares of the I metrics, (I, P)."""
@@ -32,10 +32,10 @@ def gradient_steps(
     learn: Learn,
     reports: int,
 ) -> tuple[Tensor, Tensor]:
-    """Take one step per minibatch; return the means over a network's steps of the reported numbers (I, P), of
-    which there are `reports`, and of the gradient's norm (P,).
+    """Take one step per minibatch; return means over each network's steps, NaN for a network that took none.
 
-    A minibatch is its pieces, which fit the cache, and which networks have rows in it (P,).
+    They are the means of the I = `reports` metrics, (I, P), and of the gradient norm, (P,). Each minibatch is
+    a pair: its pieces, which fit the cache, and a mask (P,) of networks with rows in it.
     """
     reported: Tensor | None = None
     norms: Tensor | None = None
@@ -50,7 +50,8 @@ def gradient_steps(
         steps = active.astype(np.int64) if steps is None else steps + active
     assert norms is not None
     assert steps is not None
-    count = torch.from_numpy(steps).to(norms).clamp(min=1)
     if reported is None:  # no network has a row
         reported = norms.new_zeros(reports, len(norms))
+    # 0 / 0, where a network took no step, is NaN.
+    count = torch.from_numpy(steps).to(norms)
     return reported / count, norms / count

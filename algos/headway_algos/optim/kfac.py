@@ -1,5 +1,7 @@
-"""Natural-gradient steps with Kronecker factors, within a trust region, for a stack of networks (Wu et al.
-2017, arXiv:1708.05144)."""
+"""Natural-gradient steps with Kronecker factors, within a trust region, for a stack of networks.
+
+Source: Wu et al. 2017, arXiv:1708.05144.
+"""
 
 from collections.abc import Callable, Sequence
 from copy import copy
@@ -12,10 +14,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from headway.contracts import HeadwayError
-from headway_algos.config import AlgoConfig
 from headway_algos.networks.distributions import DiagonalGaussian
 from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.networks.mlp import StackedMLP
+from headway_algos.optim.config import KroneckerConfig
 from headway_algos.optim.kronecker import KroneckerFactors, inner, joined
 
 Information = Callable[[Tensor], Tensor]
@@ -49,7 +51,12 @@ class StackedKFAC:
     """
 
     def __init__(
-        self, network: nn.Module, log_std: nn.Parameter | None, config: AlgoConfig, lr: float, bound: float
+        self,
+        network: nn.Module,
+        log_std: nn.Parameter | None,
+        config: KroneckerConfig,
+        lr: float,
+        bound: float,
     ) -> None:
         """Raises HeadwayError for networks other than multilayer perceptrons."""
         self.network, self.log_std = _perceptrons(network), log_std

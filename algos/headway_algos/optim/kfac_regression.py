@@ -8,8 +8,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from headway_algos.config import AlgoConfig
 from headway_algos.networks.linearised import LinearisedMLP
+from headway_algos.optim.config import KroneckerConfig
 from headway_algos.optim.kfac import StackedKFAC
 
 
@@ -22,10 +22,9 @@ class KFACRegression:
     is half the mean squared change of the prediction, in the units of the targets.
     """
 
-    def __init__(self, network: nn.Module, config: AlgoConfig) -> None:
+    def __init__(self, network: nn.Module, config: KroneckerConfig, lr: float, kl_bound: float) -> None:
         """Raises HeadwayError for networks other than multilayer perceptrons."""
-        lr = config.critic_lr or config.lr
-        self.optimiser = StackedKFAC(network, None, config, lr, config.critic_kl_bound)
+        self.optimiser = StackedKFAC(network, None, config, lr, kl_bound)
         self.network = self.optimiser.network
 
     def begin(self) -> None:
@@ -38,8 +37,8 @@ class KFACRegression:
     ) -> Tensor:
         """Add a piece of the batch; return its losses, (P,).
 
-        The piece is inputs (P, B, D), which output is fitted (P, B) if there are several, and weights (P, B)
-        that sum to 1 over the batch; `loss` takes the networks' outputs (P, A, B) there.
+        The piece consists of inputs (P, B, D), the index `taken` (P, B) of the fitted output (None with one
+        output), and weights (P, B) that sum to 1 over the batch. `loss` maps outputs (P, A, B) to losses.
         """
         linear = LinearisedMLP.of(self.network, inputs)
         outputs = linear.outputs.requires_grad_()
@@ -55,9 +54,9 @@ class KFACRegression:
         return losses.detach()
 
     def step(self, active: NDArray[np.bool_]) -> Tensor:
-        """Step the networks that have rows in the batch, (P,), down the gradients of squared errors.
+        """Step the `active` (P,) networks down the gradients of the losses; return gradient norms (P,).
 
-        Returns the norms of the gradients (P,).
+        Active networks are those with rows in the batch.
         """
         self.optimiser.step([-0.5 * gradient for gradient in self.gradient], active)
         return torch.stack([gradient.square().sum((1, 2)) for gradient in self.gradient]).sum(0).sqrt()

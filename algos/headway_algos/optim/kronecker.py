@@ -1,8 +1,8 @@
-"""Kronecker-factored Fisher information of stacked multilayer perceptrons (K-FAC: Martens and Grosse 2015,
-arXiv:1503.05671).
+"""Kronecker-factored Fisher information (K-FAC) of stacked multilayer perceptrons.
 
-For a layer with inputs a (extended by 1 for the bias) and signals g = d log p / d (pre-activation), the
-gradient of log p is g a^T. Its covariance is approximated by that of independent factors,
+Source: Martens and Grosse 2015, arXiv:1503.05671. For a layer with inputs a (extended by 1 for the bias) and
+signals g = d log p / d (pre-activation), the gradient of log p is g a^T. Its covariance is approximated by
+that of independent factors,
 
     F = E[(a a^T) x (g g^T)]  ~  A x G,   A = E[a a^T], G = E[g g^T],   (A x G)^-1 vec(M) = vec(G^-1 M A^-1),
 
@@ -147,7 +147,7 @@ def _between(factors: Sequence[Tensor], direction: Sequence[Tensor]) -> list[Ten
 
 
 def _inverse(matrices: Tensor) -> Tensor:
-    """Return the inverses of positive definite matrices (n, size, size); not finite if a matrix is not.
+    """Return the inverses of positive definite matrices (n, size, size); not finite where a matrix is not.
 
     Learners report parameters that are not finite as divergence.
     """

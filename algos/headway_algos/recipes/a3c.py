@@ -27,37 +27,35 @@ same batch.
 from dataclasses import dataclass
 from typing import Literal
 
-from headway.contracts.checks import require
+from headway.contracts import Lazy
 from headway_algos.config import AlgoConfig
-
-SUMMARY = "asynchronous A2C: workers compute gradients on their own rollouts, applied on arrival"
-SOURCE = "Mnih et al. 2016, arXiv:1602.01783"
+from headway_algos.recipe import Recipe
 
 
 @dataclass(frozen=True)
 class A3CConfig(AlgoConfig):
-    """A3C: local critic, A2C update, simultaneous order, in asynchronous workers."""
+    """How workers' gradients are applied."""
 
-    name: str = "a3c"
-    critic: Literal["local"] = "local"
-    """V(o) of an agent's own observation. algo=custom accepts any critic, in synchronous training."""
-    update: Literal["a2c"] = "a2c"
-    """One gradient step per rollout of a worker. algo=custom accepts any update, in synchronous training."""
-    critic_update: Literal["adam"] = "adam"
-    """Adam, on critic gradients that the workers compute."""
-    order: Literal["simultaneous"] = "simultaneous"
-    """All agents are updated at once."""
     application: Literal["arrival", "in_turns"] = "arrival"
     """When a worker's gradient is applied. `arrival`: as soon as it arrives, so that runs are not
     reproducible; `in_turns`: in a fixed order of workers, which is reproducible but makes fast workers wait
     (for tests). backend=serial always works in turns."""
-    epochs: int = 1
-    """Always 1: one gradient per rollout."""
-    minibatches: int = 1
-    """Always 1: each gradient is of the whole rollout."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require(self.epochs == 1, "epochs must be 1 for a3c: each rollout gives one gradient")
-        require(self.minibatches == 1, "minibatches must be 1 for a3c: each gradient is of a whole rollout")
-        require(self.shared_until == 0, "shared_until must be 0 for a3c, which cannot split a shared policy")
+
+RECIPE = Recipe(
+    name="a3c",
+    summary="asynchronous A2C: workers compute gradients on their own rollouts, applied on arrival",
+    source="Mnih et al. 2016, arXiv:1602.01783",
+    critic="local",
+    update="a2c",
+    order="simultaneous",
+    critic_update="adam",
+    # Each rollout gives one gradient; a shared policy cannot be split.
+    fixed={"epochs": 1, "minibatches": 1, "shared_until": 0.0, "apart_lr": 1.0},
+    config=A3CConfig,
+    # Four workers of two copies each, which send a gradient every 64 environment steps.
+    rollout={"copies": 8, "steps": 32, "block": 2},
+    learner=Lazy("headway_algos.on_policy.a3c_learner:AsynchronousA2CLearner"),
+    contributor=Lazy("headway_algos.on_policy.a3c_learner:A2CContributor"),
+    preload=("headway_algos.on_policy.a3c_learner",),
+)

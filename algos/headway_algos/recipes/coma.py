@@ -16,27 +16,13 @@ Related: MAA2C takes the same step with advantages from V(s), equal for all agen
 `critic_actions: others` conditions on u^-a too, but regresses on returns instead of comparing own actions.
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from headway_algos.recipe import Recipe
 
-from headway_algos.config import AlgoConfig
-
-SUMMARY = "A2C with a counterfactual central critic Q(s, u), all agents at once; Discrete actions"
-SOURCE = "Foerster et al. 2018, arXiv:1705.08926"
-
-
-@dataclass(frozen=True)
-class COMAConfig(AlgoConfig):
-    """COMA: counterfactual critic, A2C update, simultaneous order."""
-
-    name: str = "coma"
-    critic: Literal["counterfactual"] = "counterfactual"
-    """Q(s, u) for each own action. algo=custom accepts any critic."""
-    update: Literal["a2c"] = "a2c"
-    """One gradient step. algo=custom accepts any update."""
-    order: Literal["simultaneous"] = "simultaneous"
-    """All agents at once. algo=custom accepts any order."""
-    epochs: int = 1
-    """Passes of the critic over the batch; the actor always takes one step."""
-    minibatches: int = 1
-    """Minibatches per pass of the critic; the actor always uses the whole batch."""
+RECIPE = Recipe(
+    name="coma",
+    summary="A2C with a counterfactual central critic Q(s, u), all agents at once; Discrete actions",
+    source="Foerster et al. 2018, arXiv:1705.08926",
+    critic="counterfactual",
+    update="a2c",
+    order="simultaneous",
+)

@@ -1,11 +1,16 @@
 """A free composition: any critic with any update in any order.
 
-Meant for combinations without a name and for ablations that change one choice. Prefer the name of a
-combination that has one: runs are stored and compared by name.
+Meant for combinations without a name and for ablations that change one choice. If a combination has a name,
+use it: runs are stored and compared by name.
 """
 
-SUMMARY = "free composition: algo.critic x algo.update x algo.order"
-SOURCE = (
-    "per component: arXiv:1602.01783 (A2C), 1502.05477 (TRPO), 1707.06347 (PPO), 1708.05144 (K-FAC), "
-    "2109.11251 (sequential)"
+from headway_algos.recipe import Recipe
+
+RECIPE = Recipe(
+    name="custom",
+    summary="free composition: algo.critic x algo.update x algo.order",
+    source=(
+        "per component: arXiv:1602.01783 (A2C), 1502.05477 (TRPO), 1707.06347 (PPO), 1708.05144 (K-FAC), "
+        "2109.11251 (sequential)"
+    ),
 )

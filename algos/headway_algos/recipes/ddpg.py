@@ -18,11 +18,9 @@ on-policy data.
 from dataclasses import dataclass
 from typing import Literal
 
+from headway.contracts import Box, Lazy
 from headway.contracts.checks import require
-from headway_algos.replay_config import ReplayConfig
-
-SUMMARY = "deterministic actor and Q critic per agent: replay buffer, target networks; Box actions"
-SOURCE = "Lillicrap et al. 2016, arXiv:1509.02971"
+from headway_algos.replay_config import ReplayConfig, ReplayRecipe
 
 
 @dataclass(frozen=True)
@@ -59,3 +57,13 @@ class DDPGConfig(ReplayConfig):
         require(self.saturation_coeff >= 0, "saturation_coeff must be at least 0")
         require(0 <= self.ou_theta <= 1, "ou_theta must lie in [0, 1]")
         require(self.ou_sigma >= 0, "ou_sigma must be at least 0")
+
+
+RECIPE = ReplayRecipe(
+    name="ddpg",
+    summary="deterministic actor and Q critic per agent: replay buffer, target networks; Box actions",
+    source="Lillicrap et al. 2016, arXiv:1509.02971",
+    config=DDPGConfig,
+    actions=Box,
+    method=Lazy("headway_algos.off_policy.ddpg:DeterministicPolicyGradient"),
+)

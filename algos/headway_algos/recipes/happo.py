@@ -12,23 +12,13 @@ its own policy, or each group has one (`policies: groups`) and its agents are up
 Related: MAPPO has M = 1 and updates all agents at once; HATRPO takes TRPO's step.
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from headway_algos.recipe import Recipe
 
-from headway_algos.config import AlgoConfig
-
-SUMMARY = "PPO with a central critic, one agent after another, advantages weighted by earlier ratios"
-SOURCE = "Kuba et al. 2022, arXiv:2109.11251"
-
-
-@dataclass(frozen=True)
-class HAPPOConfig(AlgoConfig):
-    """HAPPO: central critic, PPO update, sequential order."""
-
-    name: str = "happo"
-    critic: Literal["central"] = "central"
-    """V(s) of the global state. algo=custom accepts any critic."""
-    update: Literal["ppo"] = "ppo"
-    """Proximal policy optimisation. For TRPO: algo=hatrpo; algo=custom accepts any update."""
-    order: Literal["sequential"] = "sequential"
-    """One agent after another. All at once: algo=mappo; algo=custom accepts any order."""
+RECIPE = Recipe(
+    name="happo",
+    summary="PPO with a central critic, one agent after another, advantages weighted by earlier ratios",
+    source="Kuba et al. 2022, arXiv:2109.11251",
+    critic="central",
+    update="ppo",
+    order="sequential",
+)

@@ -12,23 +12,13 @@ has one (`policies: groups`) and its agents are updated together.
 Related: MATRPO has M = 1 and updates all agents at once; HAPPO replaces the trust region by PPO's clip.
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from headway_algos.recipe import Recipe
 
-from headway_algos.config import AlgoConfig
-
-SUMMARY = "TRPO with a central critic, one agent after another, advantages weighted by earlier ratios"
-SOURCE = "Kuba et al. 2022, arXiv:2109.11251"
-
-
-@dataclass(frozen=True)
-class HATRPOConfig(AlgoConfig):
-    """HATRPO: central critic, TRPO update, sequential order."""
-
-    name: str = "hatrpo"
-    critic: Literal["central"] = "central"
-    """V(s) of the global state. algo=custom accepts any critic."""
-    update: Literal["trpo"] = "trpo"
-    """Trust-region policy optimisation. For PPO: algo=happo; algo=custom accepts any update."""
-    order: Literal["sequential"] = "sequential"
-    """One agent after another. All at once: algo=matrpo; algo=custom accepts any order."""
+RECIPE = Recipe(
+    name="hatrpo",
+    summary="TRPO with a central critic, one agent after another, advantages weighted by earlier ratios",
+    source="Kuba et al. 2022, arXiv:2109.11251",
+    critic="central",
+    update="trpo",
+    order="sequential",
+)

@@ -12,23 +12,13 @@ Related: MAPPO replaces V(o) by V(s); IA2C takes one plain gradient step instead
 ITRPO replaces the clip by a trust region.
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from headway_algos.recipe import Recipe
 
-from headway_algos.config import AlgoConfig
-
-SUMMARY = "independent PPO: local critic, clipped surrogate, all agents at once"
-SOURCE = "Schulman et al. 2017, arXiv:1707.06347; de Witt et al. 2020, arXiv:2011.09533"
-
-
-@dataclass(frozen=True)
-class IPPOConfig(AlgoConfig):
-    """IPPO: local critic, PPO update, simultaneous order."""
-
-    name: str = "ippo"
-    critic: Literal["local"] = "local"
-    """V(o) of an agent's own observation. For V(s): algo=mappo; algo=custom accepts any critic."""
-    update: Literal["ppo"] = "ppo"
-    """Proximal policy optimisation. algo=custom accepts any update."""
-    order: Literal["simultaneous"] = "simultaneous"
-    """All agents at once. algo=custom accepts any order."""
+RECIPE = Recipe(
+    name="ippo",
+    summary="independent PPO: local critic, clipped surrogate, all agents at once",
+    source="Schulman et al. 2017, arXiv:1707.06347; de Witt et al. 2020, arXiv:2011.09533",
+    critic="local",
+    update="ppo",
+    order="simultaneous",
+)

@@ -11,23 +11,13 @@ the objective.
 Related: IPPO replaces the constraint by a clip and many small steps; MATRPO replaces V(o) by V(s).
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from headway_algos.recipe import Recipe
 
-from headway_algos.config import AlgoConfig
-
-SUMMARY = "independent TRPO: local critic, natural gradient in a trust region, all agents at once"
-SOURCE = "Schulman et al. 2015, arXiv:1502.05477"
-
-
-@dataclass(frozen=True)
-class ITRPOConfig(AlgoConfig):
-    """ITRPO: local critic, TRPO update, simultaneous order."""
-
-    name: str = "itrpo"
-    critic: Literal["local"] = "local"
-    """V(o) of an agent's own observation. For V(s): algo=matrpo; algo=custom accepts any critic."""
-    update: Literal["trpo"] = "trpo"
-    """Trust-region policy optimisation. algo=custom accepts any update."""
-    order: Literal["simultaneous"] = "simultaneous"
-    """All agents at once. algo=custom accepts any order."""
+RECIPE = Recipe(
+    name="itrpo",
+    summary="independent TRPO: local critic, natural gradient in a trust region, all agents at once",
+    source="Schulman et al. 2015, arXiv:1502.05477",
+    critic="local",
+    update="trpo",
+    order="simultaneous",
+)

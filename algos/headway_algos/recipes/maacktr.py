@@ -16,35 +16,14 @@ Related: ITRPO computes the natural gradient by conjugate gradient and adds a li
 as many passes over the batch; IA2C takes the plain gradient.
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from headway_algos.recipe import Recipe
 
-from headway_algos.config import AlgoConfig
-
-SUMMARY = "ACKTR with a shared policy: natural gradients for actor and critic from Kronecker factors"
-SOURCE = "Wu et al. 2017, arXiv:1708.05144; Chen et al. 2022, arXiv:2105.05701"
-
-
-@dataclass(frozen=True)
-class MAACKTRConfig(AlgoConfig):
-    """MAACKTR: local critic, K-FAC update of actor and critic, simultaneous order."""
-
-    name: str = "maacktr"
-    critic: Literal["local"] = "local"
-    """V(o) of an agent's own observation. algo=custom accepts any critic."""
-    update: Literal["kfac"] = "kfac"
-    """Natural gradients from Kronecker factors. algo=custom accepts any update."""
-    critic_update: Literal["adam", "kfac"] = "kfac"
-    """`kfac`: natural gradients for the critic too, as in the paper; `adam`: plain gradient steps."""
-    order: Literal["simultaneous"] = "simultaneous"
-    """All agents at once. algo=custom accepts any order."""
-    policies: Literal["independent", "shared", "groups"] = "shared"
-    """`shared`: one policy for all agents, as in the paper; `independent`: one per agent; `groups`: one per
-    group of the environment."""
-    lr: float = 0.25
-    """Maximum step size along the natural gradient (eta_max), for the actor and, if `critic_lr` is null, for
-    the critic."""
-    epochs: int = 1
-    """Passes of the critic over the batch; the actor always takes one step."""
-    minibatches: int = 1
-    """Minibatches per pass of the critic; the actor always uses the whole batch."""
+RECIPE = Recipe(
+    name="maacktr",
+    summary="ACKTR with a shared policy: natural gradients for actor and critic from Kronecker factors",
+    source="Wu et al. 2017, arXiv:1708.05144; Chen et al. 2022, arXiv:2105.05701",
+    critic="local",
+    update="kfac",
+    order="simultaneous",
+    defaults={"critic_update": "kfac"},
+)

@@ -17,11 +17,9 @@ Related: DDPG is the counterpart for Box actions; IPPO learns a policy from on-p
 
 from dataclasses import dataclass
 
+from headway.contracts import Discrete, Lazy
 from headway.contracts.checks import require
-from headway_algos.replay_config import ReplayConfig
-
-SUMMARY = "independent deep Q-learning: replay buffer, target network, epsilon-greedy; Discrete actions"
-SOURCE = "Mnih et al. 2015, doi 10.1038/nature14236; van Hasselt et al. 2016, arXiv:1509.06461"
+from headway_algos.replay_config import ReplayConfig, ReplayRecipe
 
 
 @dataclass(frozen=True)
@@ -40,3 +38,13 @@ class MADQNConfig(ReplayConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         require(self.exploration_start <= 1, "exploration_start must be at most 1: it is a probability")
+
+
+RECIPE = ReplayRecipe(
+    name="madqn",
+    summary="independent deep Q-learning: replay buffer, target network, epsilon-greedy; Discrete actions",
+    source="Mnih et al. 2015, doi 10.1038/nature14236; van Hasselt et al. 2016, arXiv:1509.06461",
+    config=MADQNConfig,
+    actions=Discrete,
+    method=Lazy("headway_algos.off_policy.dqn:QLearning"),
+)

@@ -9,23 +9,13 @@ Related: IPPO's critic sees only o; MAA2C takes one plain gradient step; HAPPO u
 another and weights advantages by the probability ratios of the agents updated before.
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from headway_algos.recipe import Recipe
 
-from headway_algos.config import AlgoConfig
-
-SUMMARY = "PPO with a central critic of the global state, all agents at once"
-SOURCE = "Yu et al. 2022, arXiv:2103.01955"
-
-
-@dataclass(frozen=True)
-class MAPPOConfig(AlgoConfig):
-    """MAPPO: central critic, PPO update, simultaneous order."""
-
-    name: str = "mappo"
-    critic: Literal["central"] = "central"
-    """V(s) of the global state. For V(o): algo=ippo; algo=custom accepts any critic."""
-    update: Literal["ppo"] = "ppo"
-    """Proximal policy optimisation. algo=custom accepts any update."""
-    order: Literal["simultaneous"] = "simultaneous"
-    """All agents at once. algo=custom accepts any order."""
+RECIPE = Recipe(
+    name="mappo",
+    summary="PPO with a central critic of the global state, all agents at once",
+    source="Yu et al. 2022, arXiv:2103.01955",
+    critic="central",
+    update="ppo",
+    order="simultaneous",
+)

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 from headway.contracts.checks import require, require_at_least
 
 SCENARIOS = ("line", "corridor", "district", "city")
-"""Names of the built-in synthetic scenarios; any other value is the path of a scenario folder."""
+"""Names of the built-in synthetic scenarios; any other `scenario` is the path of a scenario folder."""
 
 
 def _require_share(**values: float) -> None:
@@ -96,8 +96,7 @@ class NoiseConfig:
     incident_probability: float = 0.003
     """Probability of an incident per link and trip (assumption: one trip in eight meets one)."""
     incident_factor: float = 5.0
-    """Mean factor by which an incident multiplies the link's travel time; uniform from 2 to (2 x this -
-    2)."""
+    """Mean factor f by which an incident multiplies the link's travel time, uniform from 2 to 2 f - 2."""
     link_floor_sd: float = 0.10
     """Minimum sd of the link's travel-time factor (log), when the variance of the other factors is subtracted
     from the measured one."""
@@ -130,8 +129,11 @@ class NoiseConfig:
 
 @dataclass(frozen=True)
 class UpkeepConfig:
-    """Fuel, wear and the service centre. Stylised, for lack of data; fuel, uptime and their warning level
-    follow the constants of the released BusEnv."""
+    """Fuel, wear and the service centre.
+
+    Stylised, for lack of data; fuel, uptime and their warning level follow the constants of the released
+    BusEnv.
+    """
 
     fuel_capacity: float = 100.0
     """Capacity of the tank, fuel units."""
@@ -161,7 +163,7 @@ class UpkeepConfig:
     detour_fixed_s: float = 120.0
     """Fixed time added to each way of the detour, s."""
     depot_gap_s: float = 2700.0
-    """A bus goes to the depot, which refuels and repairs it, if its next trip is farther off than this, s."""
+    """Time until its next trip above which a bus goes to the depot, which refuels and repairs it, s."""
 
     def __post_init__(self) -> None:
         _require_above(
@@ -217,7 +219,7 @@ class BusConfig:
     """Mean wait for the competing service as a share of the line's target headway; the wait is exponential.
     With captive_share 0.5, boardings respond to the headway with slope 0.54 (measured: 0.47)."""
     dispatch_window_s: float = 180.0
-    """A bus at a terminal starts to decide this long before its scheduled departure, s."""
+    """Time before its scheduled departure from which a bus at a terminal makes decisions, s."""
     minimum_layover_s: float = 120.0
     """Minimum layover between arriving at a terminal and being ready to leave, s."""
     recovery_share: float = 0.15

@@ -21,15 +21,16 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
 
     Agents are vehicle slots. Actions are 0 WAIT, 1 MOVE, 2 SERVICE_CENTER, latched for one control interval
     and used at each decision event in it (`acting`). At the end of the service day all agents are terminated,
-    not truncated: the last buses are in, the passengers have gone, and the agents' actions could no longer
-    influence any later reward.
+    not truncated: the last buses and passengers have left, so actions could not influence any later reward.
     """
 
     _KIND = "bus scenario"
 
     def __init__(self, prepared: Prepared, copies: int, traced: bool = False) -> None:
-        """Allocate `copies` copies. `traced`: record times and passengers at every call in `trace`, which
-        keeps a finished day until the next step.
+        """Allocate `copies` copies.
+
+        `traced`: record times and passengers at every call in `trace`, which keeps a finished day until the
+        next step.
 
         Raises HeadwayError for fewer than one copy.
         """
@@ -59,8 +60,10 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
         )
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
-        """Advance by one control interval; actions (C, N) int64 of 0 to 2. A bus that is away or broken down
-        ignores its action; SERVICE_CENTER acts as MOVE if the centre does not accept the bus.
+        """Advance by one control interval; actions (C, N) int64 of 0 to 2.
+
+        A bus that is away or broken down ignores its action; SERVICE_CENTER acts as MOVE if the centre does
+        not accept the bus.
 
         Raises ValueError for any other shape of actions.
         """
@@ -82,24 +85,28 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
         return outcome, self.observed()
 
     def observed(self) -> Observations:
-        """Return the current observations, states, alive mask and action masks: views of the environment's
-        arrays."""
+        """Return the current observations, states, alive mask and action masks.
+
+        They are views of the environment's arrays.
+        """
         outputs = self.outputs
         return Observations(outputs.observations, outputs.states, outputs.alive, outputs.masks)
 
     def snapshot(self) -> Snapshot:
         """Return copies of all arrays.
 
-        Of the storage for waiting passengers, most of a city's state, only the occupied positions are copied:
-        a snapshot travels from worker to learner at every iteration, and every checkpoint holds one.
+        Queue storage, most of a city's state, is copied at occupied positions only: workers send a snapshot
+        to the learner at every iteration, and every checkpoint contains one.
         """
         occupied, rest = self._occupied(self.world.queues["waiting"]), self.world._asdict()
         waiting = {name: rest.pop(name).ravel()[occupied] for name in _WAITING}
         return {"world": {**copied(rest), **waiting}, "outputs": copied(self.outputs._asdict())}
 
     def restore(self, snapshot: Snapshot) -> Observations:
-        """Continue from a snapshot and return its observations. Raises HeadwayError if the scenario or the
-        number of copies differs."""
+        """Continue from a snapshot and return its observations.
+
+        Raises HeadwayError if the scenario or the number of copies differs.
+        """
         world, queues = dict(snapshot["world"]), np.zeros_like(self.world.queues)
         if "queues" in world and world["queues"].shape == queues.view(np.uint8).shape:
             queues.view(np.uint8)[...] = world["queues"]
@@ -113,8 +120,10 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
         return super().restore({**snapshot, "world": world})
 
     def _occupied(self, waiting: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the occupied positions of the flattened queue storage (C x storage), given the numbers of
-        waiting passengers (C, Q)."""
+        """Return the occupied positions of the flattened queue storage (C x storage).
+
+        `waiting` (C, Q): numbers of waiting passengers.
+        """
         first, counts = self.network.queue_first, waiting.ravel()
         begins = (np.arange(self.num_copies)[:, None] * first[-1] + first[:-1]).ravel()
         before = np.cumsum(counts) - counts

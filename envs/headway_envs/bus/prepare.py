@@ -1,5 +1,7 @@
-"""Preparation of a bus environment: read or generate the scenario and build its network, once, in the parent
-process. Imports pandas."""
+"""Preparation of a bus environment: the scenario is read or generated and its network built.
+
+It runs once, in the parent process, and imports pandas.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -32,10 +34,10 @@ def prepare(config: BusConfig) -> Prepared:
 
 
 def prepare_variant(config: BusConfig, other: Prepared) -> Prepared:
-    """Prepare `config` with the network of `other` if the two configurations differ only in rewards, which do
-    not affect the network; else prepare anew.
+    """Prepare `config`, reusing the network of `other` if the configurations differ only in rewards.
 
-    Sharing the network saves the seconds that generating a whole city takes.
+    Rewards do not affect the network, and sharing it saves the seconds that generating a city takes.
+    Configurations that differ otherwise are prepared anew.
     """
     if replace(config, reward=other.config.reward) == other.config:
         return replace(other, config=config)
@@ -43,14 +45,13 @@ def prepare_variant(config: BusConfig, other: Prepared) -> Prepared:
 
 
 def prepare_replay(config: BusConfig, tables: Tables | None = None) -> Prepared:
-    """Prepare a replay for comparison with measurements: every trip of the table leaves exactly at its
-    observed departure time. Raises HeadwayError for an unusable scenario.
+    """Prepare a replay for comparison with measurements: every trip leaves at its observed departure time.
 
     Observed departures already contain the delays of earlier trips and the effect of breakdowns, so nothing
     is added to them (`REPLAY_FIXED`): no decision before departure, no dispatch noise, no breakdowns and
     unlimited fuel. Each slot recovers for three times a trip's duration before its next trip, so that no late
     arrival delays a departure; there are therefore more slots than buses in the data. `tables`: the scenario,
-    if already read.
+    if already read. Raises HeadwayError for an unusable scenario.
     """
     if tables is None:
         tables = scenario_tables(config.scenario, config.scenario_seed)

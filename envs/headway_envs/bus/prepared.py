@@ -1,6 +1,6 @@
-"""Record that all copies of one bus environment share: the network and its configuration.
+"""Data that all copies of a bus environment share: the network and its configuration.
 
-Imports only numpy and the kernel's records, because every worker unpickles one; `prepare` makes it.
+Imports only numpy and the kernel's records, because every worker unpickles it; `prepare` makes it.
 """
 
 from dataclasses import dataclass
@@ -39,8 +39,10 @@ class Prepared:
 
     @property
     def full_state(self) -> bool:
-        """Whether the state includes all agents' observations. `state=auto` includes them for up to 50
-        slots."""
+        """Whether the state includes all agents' observations.
+
+        `state=auto` includes them for up to 50 slots.
+        """
         match self.config.state:
             case "auto":
                 return len(self.network.slot_line) <= 50
@@ -119,9 +121,9 @@ def _settings(prepared: Prepared) -> dict[str, float]:
 
 
 def _breakdown_cost(prepared: Prepared) -> float:
-    """Estimate the reward lost by a breakdown, until the bus is repaired: that of the bus itself under
-    `scope=own`, else its share of the reward of its line or of the team.
+    """Estimate the reward lost by a breakdown, until the bus is repaired.
 
+    It is the reward of the bus itself under `scope=own`, else its share of the reward of its line or team.
     During this time m is -1, and c is -1 instead of 1. Two intervals between buses become one of twice the
     length, which leaves twice as many passengers waiting there, so the line's q falls by 2 / buses.
     """

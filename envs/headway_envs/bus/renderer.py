@@ -1,5 +1,7 @@
-"""Picture of a service day: a map with stops, buses and loads above a time-space diagram of one line, which
-grows during the day and has one panel per direction."""
+"""Picture of a service day: a map with stops, buses and loads, above a time-space diagram of one line.
+
+The diagram grows during the day and has one panel per direction.
+"""
 
 import math
 from dataclasses import dataclass
@@ -29,7 +31,7 @@ FINER = 2
 """Supersampling factor: pictures are drawn this many times as large and then reduced, for smooth edges."""
 WIDTH, HEADER, EDGE = 1180, 54, 14
 MAP_HEIGHTS = (236, 420)
-"""Smallest and largest height of the map, pixels; in between it follows the shape of the network. The
+"""Minimum and maximum height of the map, pixels; in between it depends on the shape of the network. The
 minimum, a fifth of the width, is for straight lines."""
 PANEL_HEIGHT, TITLE, AXIS, LEGEND, LABELS = 190, 24, 18, 26, 46
 """Heights of a panel, of its title and axis, and of the legend, and the width of the labels at its left,
@@ -38,7 +40,7 @@ ASIDE = 5.0
 """Offset of each bus to the right of its line in driving direction, pixels, so that opposite directions stay
 apart."""
 NUMBERED = 40
-"""Largest number of buses drawn with their load as a number."""
+"""Number of buses up to which the load of each is drawn as a number."""
 
 GROUND, PAPER, ROAD, STOP, QUEUE, GRID, TEXT, FAINT = (
     "#eef1ea", "#ffffff", "#a9b0b6", "#54595e", "#7b4fa3", "#d9dde0", "#20242a", "#6b7177",
@@ -111,8 +113,8 @@ class _VisibleBuses:
 class BusRenderer:
     """Renderer of the bus environment (`headway.contracts.Renderer`).
 
-    It accumulates the diagram of a day, which starts with the first picture of that day and shows the line
-    with the most slots.
+    It extends the time-space diagram of a day with every picture of that day, for the line with the most
+    slots.
     """
 
     def __init__(self, prepared: Prepared) -> None:
@@ -138,8 +140,11 @@ class BusRenderer:
         self._last_points: dict[int, tuple[int, Point]] = {}
 
     def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
-        """Return a picture (height, width, 3), uint8, of the first copy; `at_end`: the finished diagram with
-        the metrics of the day. Raises TypeError for any other environment."""
+        """Return a picture (height, width, 3), uint8, of the first copy.
+
+        `at_end`: show the finished diagram with the metrics of the day. Raises TypeError for any other
+        environment.
+        """
         if not isinstance(env, BusBatchedEnv):
             raise TypeError(f"the picture of a bus network needs a BusBatchedEnv, not {type(env).__name__}")
         day = env.world.days[0]
@@ -196,10 +201,10 @@ class BusRenderer:
         return slice(self._net.pattern_calls[pattern], self._net.pattern_calls[pattern + 1])
 
     def _diagram_heights(self) -> Floats:
-        """Return the height of each call within its panel (Q,), a share from 0 to 1 by distance along the
-        line; NaN on other lines.
+        """Return the height of each call within its panel (Q,), a share from 0 to 1; NaN on other lines.
 
-        A shorter pattern begins where the longest pattern of its direction comes nearest to its first stop.
+        Heights follow the distance along the line. A shorter pattern begins where the longest pattern of its
+        direction comes nearest to its first stop.
         """
         places, up = self._places, np.full(len(self._places.along), np.nan)
         for pattern in self._patterns:
@@ -287,8 +292,10 @@ class BusRenderer:
         draw.text((x + 14 * FINER, y), "broken down or at a service centre", TEXT, self._font)
 
     def _draw_queues(self, draw: ImageDraw.ImageDraw, env: BusBatchedEnv) -> int:
-        """Draw each queue as a disc of proportional area, up to a largest radius, and return the number of
-        waiting passengers on the network."""
+        """Draw each queue as a disc and return the number of waiting passengers on the network.
+
+        Areas are proportional to queues, up to a maximum radius.
+        """
         waiting = env.world.queues["waiting"][0]
         for call in np.flatnonzero(waiting):
             x, y = self._pixels[call]
@@ -311,8 +318,10 @@ class BusRenderer:
                 draw.text((x, y), f"{buses.loads[n]}", "#ffffff", self._small, anchor="mm")
 
     def _extend_diagram(self, buses: _VisibleBuses, now: float) -> None:
-        """Extend the diagram by one stroke per bus of the line, from its position in the previous picture. A
-        bus that has begun another trip or is out of service gets none."""
+        """Extend the diagram by one stroke per bus of the line, from its position in the previous picture.
+
+        A bus that has begun another trip or is out of service gets none.
+        """
         draw, reached = ImageDraw.Draw(self._canvas), {}
         for n, call in enumerate(buses.calls):
             up, slot = self._heights[call], int(buses.slots[n])

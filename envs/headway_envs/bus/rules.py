@@ -29,14 +29,13 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 FUEL_MARGIN = 1.25
-"""Safety margin on fuel: a bus is refuelled when its range falls below this many times the distance it needs
-to drive."""
+"""Safety margin on fuel: the driving time that a bus's fuel lasts for is divided by this factor."""
 NEAR_S = 60.0
-"""Largest excess of a terminal's detour over the shortest detour of its line for the terminal to count as
-near a service centre, s."""
+"""Maximum time by which a terminal's detour may exceed its line's shortest detour to count as near a service
+centre, s."""
 MIN_WORN_SHARE = 0.5
-"""Smallest share of the remaining planned driving time, below the warning level of uptime, for which a bus is
-sent to service."""
+"""Share of the planned driving time until the depot that a bus must spend below the warning level of uptime
+to be sent to service."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +103,11 @@ def fleet_state(env: BatchedEnv) -> FleetState:
 def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
     """Return which buses should go to service at their current terminal, (C, N).
 
-    A dispatcher knows how long a bus still drives before its next stay at the depot, and which terminals of
-    its line are nearest to a service centre. A bus at such a terminal is sent if its fuel, with a margin,
-    lasts neither to the depot nor until it returns (twice its line's longest trip), or if its uptime would
-    fall below the warning level before both, and early enough (`MIN_WORN_SHARE`). At any other terminal a bus
-    is sent only if its fuel does not last for one more trip.
+    Known are the driving time until the bus's next stay at the depot, and the terminals of its line nearest
+    to a service centre. A bus at such a terminal is sent if its fuel, with a margin, lasts neither to the
+    depot nor for a round trip (twice its line's longest trip), or if its uptime would fall below the warning
+    level within a round trip and early enough before the depot (`MIN_WORN_SHARE`). At any other terminal a
+    bus is sent only if its fuel lasts neither to the depot nor for one more trip.
     """
     net, slots, upkeep = env.network, env.world.slots, env.prepared.config.upkeep
     ends = net.pattern_calls[1:] - 1
@@ -134,8 +133,10 @@ def _actions(fleet: FleetState, hold: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _too_close(fleet: FleetState, share: float) -> NDArray[np.bool_]:
-    """Return which buses have a headway below `share` of the target at the next event, or follow a bus that
-    has not yet left that stop."""
+    """Return which buses have a headway below `share` of the target at their next event, (C, N).
+
+    A bus is also too close if the bus ahead has not yet left that stop.
+    """
     near = fleet.ahead * fleet.target < fleet.event - fleet.now
     return (fleet.headway < share * fleet.target) | (fleet.on_way & near)
 
@@ -147,8 +148,7 @@ def _before_schedule(fleet: FleetState) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class AlwaysMove:
-    """Baseline that always moves: it leaves every stop and terminal at once and never goes to the service
-    centre."""
+    """Baseline without holding or service: buses leave every stop and terminal at once."""
 
     prepared: "Prepared"
 
@@ -158,8 +158,10 @@ class AlwaysMove:
 
 @dataclass(frozen=True)
 class MoveWithService:
-    """Baseline that never holds but is serviced in time like the holding rules, so that their gain over it is
-    due to holding alone."""
+    """Baseline that never holds but sends buses to service like the holding rules.
+
+    The gain of those rules over it is therefore due to holding only.
+    """
 
     prepared: "Prepared"
 
@@ -169,8 +171,11 @@ class MoveWithService:
 
 @dataclass(frozen=True)
 class HeadwayHolding:
-    """Forward headway control: hold, at stops and terminals, while the headway to the bus ahead is below a
-    share of the target. A bus leaves a terminal at most one dispatch window after its scheduled departure."""
+    """Forward headway control: hold while the headway to the bus ahead is below a share of the target.
+
+    Buses are held at stops and terminals, but leave a terminal at most one dispatch window after their
+    scheduled departure.
+    """
 
     prepared: "Prepared"
     share: float
@@ -184,8 +189,10 @@ class HeadwayHolding:
 
 @dataclass(frozen=True)
 class EvenHeadway:
-    """Hold while the bus behind is farther away than the bus ahead and the bus ahead is nearer than the
-    target headway; leave terminals on schedule."""
+    """Hold a bus that is nearer to the bus ahead than to the bus behind; leave terminals on schedule.
+
+    It is held only while the bus ahead is also nearer than the target headway.
+    """
 
     prepared: "Prepared"
 

@@ -13,8 +13,10 @@ def _integers(*values: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
 
 
 def tiny_network() -> Network:
-    """Return a network of one trip that leaves at 05:10 and takes 100 s; one passenger arrives every 200
-    s."""
+    """Return a network of one trip that leaves at 05:10 and takes 100 s.
+
+    One passenger arrives every 200 s.
+    """
     return Network(
         line_slots=_integers(0, 1),
         line_patterns=_integers(0, 1),

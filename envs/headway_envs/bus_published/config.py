@@ -9,9 +9,11 @@ from headway_envs.bus.config import SCENARIOS
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Reward of a MOVE: (-occupancy x o + uptime x u + regularity x h + efficiency x t) / sum of weights,
-    within -1 to 1. The reward of WAIT is -0.1; that of service is -(1 + detour / 600 s), or -20 without fuel
-    for the way."""
+    """Weights of the reward of a MOVE, which lies within -1 to 1.
+
+    The reward is (-occupancy x o + uptime x u + regularity x h + efficiency x t) / sum of weights. That of
+    WAIT is -0.1; that of service is -(1 + detour / 600 s), or -20 without fuel for the way.
+    """
 
     occupancy: float = 0.5
     """Weight of o: squared distance of the occupancy from the band between `low_occupancy` and
@@ -75,9 +77,9 @@ class BusPublishedConfig:
     """Stop of the service centre, by its position among the scenario's stops; null: drawn per copy from its
     seed, as each worker of the released code draws one."""
     max_steps: int = 2000
-    """Number of steps after which a day is truncated. Waiting throughout takes 1,080. Without a limit, a day
-    would never end if all buses asked for service without the fuel for it, because no clock would advance.
-    The released runs allowed 1,000,000."""
+    """Number of steps after which a day is truncated. A day of waiting takes 1,080. Without a limit, a day
+    would never end if all buses chose service without the fuel for it, because no clock would advance. The
+    released runs allowed 1,000,000."""
     observation: Literal["scaled", "raw"] = "scaled"
     """`scaled`: all eight features lie between 0 and 1; `raw`: demand and the two stops are unscaled numbers,
     as in the released code."""

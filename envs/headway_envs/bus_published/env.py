@@ -65,8 +65,10 @@ class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
         )
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
-        """Apply one action per bus; actions (C, N) int64 of 0 to 2. Raises ValueError for any other shape of
-        actions."""
+        """Apply one action per bus; actions (C, N) int64 of 0 to 2.
+
+        Raises ValueError for any other shape of actions.
+        """
         actions = self._checked(actions)
         outputs = self.outputs
         steps.step(self.network, self.settings, self.world, outputs, actions)

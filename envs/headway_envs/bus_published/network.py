@@ -24,9 +24,10 @@ CROSSING_MPS = 20.0 / 3.6
 
 
 def build(tables: Tables, config: BusPublishedConfig) -> tuple[Network, tuple[str, ...]]:
-    """Return the network and the line of each route. Routes are patterns in the order of their numbers: first
-    the first pattern of each line; if there are more routes than lines, then the second pattern of each line,
-    and so on.
+    """Return the network and the line of each route.
+
+    Routes are patterns in the order of their numbers: first the first pattern of each line; if there are more
+    routes than lines, then the second pattern of each line, and so on.
 
     Raises HeadwayError for too few patterns, or for a centre that does not exist or cannot be reached.
     """
@@ -74,8 +75,10 @@ def _route(tables: Tables, pattern: int, row_of: "pd.Series[int]") -> Integers:
 
 
 def _links(tables: Tables, day: str, row_of: "pd.Series[int]") -> tuple[pd.DataFrame, float]:
-    """Return the links as rows of stops with the mean time over the hours of the day, s, and the mean over
-    all links."""
+    """Return the links as rows of stops with their mean times, s, and the mean over all links.
+
+    Times are means over the hours of the day.
+    """
     times = tables.link_times[tables.link_times["daytype"] == day].groupby("link")["mean_s"].mean()
     if times.empty:
         raise HeadwayError(f"table link_times has no rows of day_type {day}: choose the other day_type")
@@ -105,7 +108,7 @@ def _detours(
     lacking = [(b, a, mean_s) for a, b in known if (b, a) not in known]
     joined = [(a, b, seconds) for a, b, seconds in _crossings(tables, row_of) if (a, b) not in known]
     ways += [np.array(more, np.float64).reshape(-1, 3) for more in (lacking, joined)]
-    # A sparse matrix would add the times of two ways between the same stops, and take a time of 0 for no way.
+    # A sparse matrix would add the times of two links between the same stops, and drop links of time 0.
     every = pd.DataFrame(np.concatenate(ways)).groupby([0, 1], as_index=False)[2].min()
     seconds = np.maximum(every[2].to_numpy(np.float64), 1e-3)
     graph = coo_matrix((seconds, (every[0].astype(int), every[1].astype(int))), shape=(count, count))
@@ -126,8 +129,10 @@ def _crossings(tables: Tables, row_of: "pd.Series[int]") -> list[tuple[int, int,
 
 
 def _passengers(tables: Tables, day: str, row_of: "pd.Series[int]") -> tuple[Floats, Floats]:
-    """Return the mean occupancy (S,) of buses on the way to each stop, relative to CAPACITY, and the
-    boardings per day (S,)."""
+    """Return mean occupancies (S,) of buses on the way to each stop, and boardings per day (S,).
+
+    Occupancies are relative to CAPACITY.
+    """
     loads = link_loads(tables, day)
     departures = tables.trips[tables.trips["daytype"] == day].groupby("pattern").size()
     loads["buses"] = departures.reindex(loads["pattern"]).fillna(0.0).to_numpy(np.float64)
@@ -141,8 +146,10 @@ def _passengers(tables: Tables, day: str, row_of: "pd.Series[int]") -> tuple[Flo
 
 
 def _centres(detour: Floats, config: BusPublishedConfig) -> Integers:
-    """Return the rows of the stops that can be the centre: the configured one, else all stops that every call
-    can reach."""
+    """Return the rows of the stops that can be the centre.
+
+    They are the configured one, else all stops that can be reached from every call.
+    """
     reached = np.flatnonzero(np.isfinite(detour).all(axis=0)).astype(np.int64)
     if config.centre is None:
         if not len(reached):

@@ -1,5 +1,7 @@
-"""Record that all copies of one published bus environment share. Imports only numpy and the kernel's records
-until `prepare` is called."""
+"""Data that all copies of a published bus environment share.
+
+Imports only numpy and the kernel's records until `prepare` is called.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -60,8 +62,9 @@ class Prepared:
 
 
 def prepare(config: BusPublishedConfig) -> Prepared:
-    """Read or generate the scenario and build its network: once, in the parent process. Imports pandas and
-    scipy.
+    """Read or generate the scenario and build its network: once, in the parent process.
+
+    Imports pandas and scipy.
 
     Raises HeadwayError for an unusable scenario.
     """

@@ -27,8 +27,7 @@ class Always:
 
 @dataclass(frozen=True)
 class MoveWithService:
-    """Baseline that moves, and goes to the centre at the first step at which its uptime is below a share and
-    the fuel lasts for the way."""
+    """Baseline that moves, and goes to service when its uptime is low and its fuel lasts for the detour."""
 
     prepared: "Prepared"
     below: float

@@ -29,10 +29,10 @@ class RewardConfig:
     spacing: float = 4.0
     """Weight of the penalty for following too closely."""
     headway_s: float = 1.2
-    """Time gap from which following costs nothing, s."""
+    """Time gap to the vehicle ahead from which there is no penalty, s."""
     scope: Literal["global", "regional", "own"] = "global"
     """Reward of a CAV. `global`: mean r of all CAVs; `regional`: mean of its own r and those of the CAVs
-    directly ahead and behind, on its lane and the lane beside it; `own`: its own r. Empty slots receive 0
+    directly ahead and behind, on its lane and the adjacent lane; `own`: its own r. Empty slots receive 0
     with `regional` and `own`, which counts in the return. The metric `reward` is always the mean of all
     CAVs."""
 
@@ -62,7 +62,7 @@ class Dynamics:
     """MOBIL: maximum braking that a change may impose on the new follower, m/s2."""
     tie_gain: float
     """MOBIL, with two ramp lanes: added to the gain if both lanes are equally good. Without it no vehicle
-    would leave the outer lane, because both end at the same place."""
+    would leave the outer ramp lane, because both ramp lanes end at the same position."""
     exact_outlines: bool
     """True: vehicles crash when their outlines intersect, and vehicles about to intersect push each other
     apart. False: they crash when one of nine points of one, shrunk to 0.9, lies in the other, and both

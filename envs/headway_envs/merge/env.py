@@ -83,9 +83,11 @@ class MergeBatchedEnv(ArrayEnv[World, Outputs]):
         )
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
-        """Advance by 0.2 s; actions (C, N) int64 of 0 to 4, or 5 to drive as a human (rule `idm_mobil`). A
-        change to a lane that does not exist or is closed is ignored. Raises ValueError for any other shape
-        of actions."""
+        """Advance by 0.2 s; actions (C, N) int64 of 0 to 4, or 5 to drive as a human (rule `idm_mobil`).
+
+        A change to a lane that does not exist or is closed is ignored. Raises ValueError for any other shape
+        of actions.
+        """
         outputs = self.outputs
         steps.step(self.network, self.settings, self.world, self._work, outputs, self._checked(actions))
         outcome = StepResult(

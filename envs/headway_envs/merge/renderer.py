@@ -83,7 +83,7 @@ class MergeRenderer:
                 for x in np.arange(lane["x"], lane["x"] + lane["length"], 8.0):
                     y = lane["y"] - LANE_WIDTH / 2.0
                     draw.line([self._at(x, y), self._at(x + 4.0, y)], MARKING, FINER)
-        if self._ramp_lanes == 2:  # no changes between the ramp lanes before they run beside the highway
+        if self._ramp_lanes == 2:  # no changes between the ramp lanes before they run along the highway
             for lane in self._lanes[-2:]:
                 for upper, _ in self._edges(lane, LANE_WIDTH / 2.0):
                     draw.line(upper, MARKING, FINER)

@@ -43,8 +43,10 @@ class IdmMobil:
     prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        """Return `AS_HUMAN` for every slot, which is outside the action space and known to this environment
-        only: the actions include no accelerations."""
+        """Return `AS_HUMAN` for every slot, an internal action outside the action space.
+
+        It is needed because the actions include no accelerations.
+        """
         if not isinstance(env, MergeBatchedEnv):
             raise TypeError(f"idm_mobil needs a MergeBatchedEnv, not {type(env).__name__}")
         return np.full(observed.alive.shape, AS_HUMAN, np.int64)

@@ -1,4 +1,4 @@
-"""One-step cooperative matrix game: two agents, a shared payoff, and a trap beside the best payoff.
+"""One-step cooperative matrix game: two agents, a shared payoff, and a trap next to the best payoff.
 
 The default is the climbing game of Claus and Boutilier, "The Dynamics of Reinforcement Learning in
 Cooperative Multiagent Systems" (AAAI 1998): the payoff 11 is next to -30, so exploring learners drift to 5 or

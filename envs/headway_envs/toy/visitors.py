@@ -1,4 +1,4 @@
-"""Agents that come and go, to test the use of all masks: rows that must not be read hold NaN.
+"""Agents that come and go, to test the use of all masks: rows that must not be read are NaN.
 
 A present visitor observes the values of some options; when it is ready, it takes an allowed option and
 receives its value. Visitors leave and return; some retire early, for good. Episodes differ in length and end
@@ -16,7 +16,7 @@ from headway.contracts.checks import require_at_least
 
 OPTIONS = 3
 LEAVE, RETURN, READY, RETIRE = 0.15, 0.3, 0.7, 0.3
-"""Probabilities: of leaving, of returning and of being ready per step, and of retiring per episode."""
+"""Probabilities of leaving, of returning and of being ready, per step, and of retiring, per episode."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class VisitorsConfig:
     agents: int = 6
     """Number of slots for visitors."""
     steps: int = 60
-    """Maximum length of an episode; each length is drawn, from half of it."""
+    """Maximum length of an episode; the length is drawn, from half the maximum on."""
 
     def __post_init__(self) -> None:
         require_at_least(1, agents=self.agents)

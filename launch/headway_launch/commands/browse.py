@@ -22,7 +22,7 @@ examples:
 """
 
 _HOST = "127.0.0.1"
-_READY_S = 180.0  # importing MLflow is slow on a busy machine; a server that dies is noticed at once
+_READY_S = 180.0  # importing MLflow is slow on a busy machine; a server that exits ends the wait at once
 _END_S = 5.0
 _MOST_STUDIES = 10
 """Studies printed with their addresses."""
@@ -98,7 +98,7 @@ def _require_free(port: int) -> None:
 
 
 def _wait_until_ready(server: "subprocess.Popen[bytes]", port: int, requests: StopRequests) -> bool:
-    """Return whether the server accepts connections before it exits, a stop request or the time limit."""
+    """Return whether the server accepts connections, waiting until it exits, a stop request or `_READY_S`."""
     deadline = time.monotonic() + _READY_S
     while server.poll() is None and not requests.count and time.monotonic() < deadline:
         with contextlib.suppress(OSError), socket.create_connection((_HOST, port), timeout=1):

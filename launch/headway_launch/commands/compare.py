@@ -13,7 +13,7 @@ from headway_launch.commands.runs import add_store_argument, existing_store
 if TYPE_CHECKING:
     from headway.events import Row
     from headway.stats import Interval
-    from headway_launch.console.tables import Cell
+    from headway_launch.console.tables import Value
     from headway_launch.experiments.compose import Experiment
     from headway_launch.runner.stored_run import StoredRun
 
@@ -111,7 +111,7 @@ def execute(arguments: argparse.Namespace) -> int:
             [_values(of_seed, metric) for of_seed in by_seed], _values(rules[reference], metric)
         )
 
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[Value, ...]] = []
     for metric in metrics:
         for rule, of_rule in rules.items():
             against = None if rule == reference else minus_reference([of_rule], metric)
@@ -125,8 +125,8 @@ def execute(arguments: argparse.Namespace) -> int:
         "seeds",
         "mean",
         f"minus {reference}",
-        "95% from",
-        "95% to",
+        "95% low",
+        "95% high",
         "interval",
     )
     mode = f", {arguments.mode}" if cells else ""
@@ -146,7 +146,7 @@ class _Subject:
     name: str
     experiment: "Experiment"
     cells: Mapping[str, list["StoredRun"]]
-    """Runs of each learner by label; empty if rules are compared alone."""
+    """Runs of each learner by label; empty if only rules are compared."""
 
 
 def _subject(arguments: argparse.Namespace) -> _Subject:
@@ -174,7 +174,7 @@ def _subject(arguments: argparse.Namespace) -> _Subject:
 
 
 def _require_for_rules(words: Sequence[str]) -> None:
-    """Refuse overrides that have no effect on rules, and overrides that do not name an environment."""
+    """Raise HeadwayError for overrides that have no effect on rules, or that do not name an environment."""
     keys = [word.partition("=")[0].lstrip("+~") for word in words]
     for word, key in zip(words, keys, strict=True):
         if key.split(".")[0] not in ("env", "experiment") or key.startswith("env.training_args"):
@@ -228,8 +228,8 @@ def _mean(episodes: Sequence["Row"], metric: str) -> float:
 
 def _row(
     metric: str, controller: str, seeds: int, mean: float, against: "Interval | None"
-) -> tuple["Cell", ...]:
-    interval: tuple[Cell, ...] = (None,) * 4
+) -> tuple["Value", ...]:
+    interval: tuple[Value, ...] = (None,) * 4
     if against is not None:
         interval = (against.estimate, against.low, against.high, against.method)
     return (metric, controller, seeds or None, mean, *interval)

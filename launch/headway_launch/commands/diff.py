@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from headway_launch.commands.runs import add_store_argument, existing_store
 
 if TYPE_CHECKING:
-    from headway_launch.console.tables import Cell
+    from headway_launch.console.tables import Value
     from headway_launch.runner.stored_run import StoredRun
 
 EXAMPLES = """\
@@ -36,7 +36,7 @@ def execute(arguments: argparse.Namespace) -> int:
     pair = [StoredRun.find(root, name) for name in (arguments.first, arguments.second)]
     first, second = (_settings(run) for run in pair)
     names = [run.record.run_id for run in pair]
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[Value, ...]] = [
         (name, first.get(name), second.get(name))
         for name in dict.fromkeys((*first, *second))
         if first.get(name) != second.get(name)
@@ -45,7 +45,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if not rows:
         print("no settings differ")
     print()
-    results: list[tuple[Cell, ...]] = [("status", *(run.record.settled_status for run in pair), None)]
+    results: list[tuple[Value, ...]] = [("status", *(run.record.settled_status for run in pair), None)]
     known = [_results(run) for run in pair]
     for name in dict.fromkeys((*known[0], *known[1])):
         a, b = known[0].get(name), known[1].get(name)

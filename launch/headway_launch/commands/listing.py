@@ -2,9 +2,11 @@
 
 import argparse
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 
 import yaml
 
+from headway.config.experiment import RolloutConfig
 from headway.config.schema import FieldDescription, describe, suggestion
 from headway.contracts import RANDOM, RuleEntry
 from headway.contracts.errors import HeadwayError
@@ -64,10 +66,18 @@ def _list_envs(name: str | None) -> None:
 
 def _list_algos(name: str | None) -> None:
     if name is None:
-        rows = [(key, entry.summary, entry.source) for key, entry in algo_entries().items()]
-        print_table(("algorithm", "description", "source"), rows)
+        described = [(key, entry.summary, entry.source) for key, entry in algo_entries().items()]
+        print_table(("algorithm", "description", "source"), described)
         return
-    _print_keys(algo_entry(name).config, "algo")
+    entry = algo_entry(name)
+    keys = list(describe(entry.config, "algo"))
+    if all(key.default != "required" for key in keys):
+        own = entry.rollout(entry.config())
+        keys += [
+            replace(key, default=str(own.get(key.key.removeprefix("rollout."), key.default)))
+            for key in describe(RolloutConfig, "rollout")
+        ]
+    _print_descriptions(keys)
 
 
 def _list_wrappers(name: str | None) -> None:
@@ -119,7 +129,7 @@ def _metrics(name: str) -> Mapping[str, str]:
 
 
 def _names(name: str | None) -> list[str]:
-    """Return `name` alone or, if it is None, all environments and those defined only by a file."""
+    """Return [`name`] or, if it is None, all environments, including those defined only by a file."""
     return [*env_entries(), *_file_only_envs()] if name is None else [name]
 
 

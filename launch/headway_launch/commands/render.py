@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.config.schema import nearest, suggestion
 from headway.contracts.errors import HeadwayError
+from headway.wording import counted
 from headway_launch.commands.runs import add_store_argument, existing_store
 from headway_launch.console.output_files import write_error
 from headway_launch.console.progress_display import CountedProgress
@@ -17,7 +18,7 @@ from headway_launch.console.progress_display import CountedProgress
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from headway.contracts import Observations, StepResult
+    from headway.contracts import BatchedEnv, Observations, StepResult
     from headway_launch.console.video import Frame
     from headway_launch.experiments.compose import PreparedEnv
     from headway_launch.runner.stored_run import StoredRun
@@ -159,6 +160,8 @@ class _Player:
     environment: "PreparedEnv"
     root: int
     """Root of the evaluation seeds."""
+    make: "Callable[[], BatchedEnv]"
+    """Makes a single copy of the environment."""
     act: "Act"
     reset_ended: "ResetEnded"
     """Processes the result of each step, to update hidden states."""
@@ -167,7 +170,6 @@ class _Player:
 def _player(arguments: argparse.Namespace) -> _Player:
     if arguments.rule is None:
         from headway.rollout.policy_player import PolicyPlayer
-        from headway.stats.plots import counted
         from headway_launch.runner.checkpointed_policy import newest_policy
 
         run = _run(arguments)
@@ -179,6 +181,7 @@ def _player(arguments: argparse.Namespace) -> _Player:
             f"run {run.record.run_id} after {counted(policy.iteration, 'iteration')}, greedy",
             found,
             root,
+            lambda: policy.plan.make(1),
             lambda env, observed: acting.act(policy.parameters, observed, None)[0],
             acting.reset_ended,
         )
@@ -194,6 +197,7 @@ def _player(arguments: argparse.Namespace) -> _Player:
         f"rule {arguments.rule} on {arguments.name}{settings}",
         found,
         experiment.config.evaluation.seed,
+        lambda: found.entry.make(found.prepared, 1),
         rule.act,
         lambda outcome: None,
     )
@@ -234,7 +238,7 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
     found = player.environment
     assert found.entry.renderer is not None
     renderer = found.entry.renderer(found.prepared)
-    with CountedProgress("steps played") as played, closing(found.entry.make(found.prepared, 1)) as env:
+    with CountedProgress("steps played") as played, closing(player.make()) as env:
         observed, ended = env.reset(evaluation_seeds(root, episode, 1)), False
         first = renderer.render(behind_wrappers(env), at_end=False)
         strip = caption_strip(caption, first.shape[1])

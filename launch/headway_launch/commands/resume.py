@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Continue training; return the worst exit code of the sessions."""
+    """Continue training; return the highest exit code of the sessions."""
     from headway_launch.console.threads import limit_threads
 
     limit_threads()
@@ -89,7 +89,7 @@ def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
 def _cells_of_study(
     root: Path, study: str, named: Sequence["StoredRun"]
 ) -> tuple[list["CellPlan"], list[Path]]:
-    """Return the cells left to train, and the folders of runs that other sessions hold.
+    """Return the cells left to train, and the folders of runs that other sessions are training.
 
     The cells are those of the study's sweeps, of its unfinished runs outside sweeps, and of the `named` runs.
     """

@@ -11,7 +11,7 @@ from headway.config.experiment import StoreConfig
 from headway.config.schema import parse_seeds, suggestion
 from headway.contracts.errors import HeadwayError
 from headway.store.run_folder import STATUSES
-from headway_launch.console.tables import Cell, print_table, without_empty
+from headway_launch.console.tables import Value, print_table, without_empty
 from headway_launch.runner.results import AUC_HEADING, CO2_HEADING
 from headway_launch.studies.run_filter import in_order, parse_conditions, require_known
 
@@ -53,7 +53,7 @@ _FIELDS = (
     "run_id",
 )
 _ON_TERMINAL = ("run_id", *(name for name in _FIELDS if name != "run_id"))
-# The run's name already has environment, algorithm and seed; the algorithm is dropped last.
+# The run's name already contains environment, algorithm and seed; the algorithm is dropped last.
 _SPARE_ON_TERMINAL = (
     "duration_s",
     "iterations",
@@ -79,7 +79,7 @@ _HEADINGS = {
     "duration_s": "seconds",
     "run_id": "run",
 }
-"""Table heads that differ from the field's name, the same as in the closing table of a run."""
+"""Column headings that differ from the field's name, as in the results table that ends a run."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -167,10 +167,10 @@ def _print(rows: Sequence["RunRow"], style: str) -> None:
 
         writer = csv.writer(sys.stdout, lineterminator="\n")
         writer.writerow(_FIELDS)
-        writer.writerows(_cells(row, _FIELDS) for row in rows)
+        writer.writerows(_values(row, _FIELDS) for row in rows)
     else:
         fields = _ON_TERMINAL if sys.stdout.isatty() else _FIELDS
-        table = _headings(fields), [_cells(row, fields) for row in rows]
+        table = _headings(fields), [_values(row, fields) for row in rows]
         print_table(
             *without_empty(*table, (CO2_HEADING,)),
             whole=_headings(("run_id", "status")),
@@ -182,5 +182,5 @@ def _headings(fields: Sequence[str]) -> list[str]:
     return [_HEADINGS.get(name, name) for name in fields]
 
 
-def _cells(row: "RunRow", fields: Sequence[str]) -> list[Cell]:
+def _values(row: "RunRow", fields: Sequence[str]) -> list[Value]:
     return [getattr(row, name) for name in fields]

@@ -70,12 +70,12 @@ def execute(arguments: argparse.Namespace) -> int:
     best = {cell: max(results[cell, candidate] for candidate in search.candidates) for cell in search.cells}
     counts = {cell: [results[cell, name] for name in search.candidates].count(best[cell]) for cell in best}
     rows = [
-        (cell, candidate, found, "" if found < best[cell] else "best" if counts[cell] == 1 else "as good")
+        (cell, candidate, found, "" if found < best[cell] else "best" if counts[cell] == 1 else "tied best")
         for (cell, candidate), found in results.items()
     ]
     config = next(iter(points.values())).config
     with ignore_closed_pipe(sys.stdout):
-        print_table(("cell", "candidate", "mean final reward", ""), rows, title=_title(config))
+        print_table(("cell", "candidate", "mean final reward", "rank"), rows, title=_title(config))
     return EXIT_DONE
 
 

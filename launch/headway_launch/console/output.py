@@ -37,7 +37,7 @@ def ignore_closed_pipe(stream: TextIO) -> Iterator[None]:
 
 def silence(stream: TextIO) -> None:
     """Redirect a stream to the null device, including buffered output."""
-    # Python's manual advises this; a stream left broken fails again when the interpreter flushes it.
+    # Python's manual advises this: the interpreter flushes a broken stream at exit, which would fail again.
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

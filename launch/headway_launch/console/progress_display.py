@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 _MOST_JOB_LINES = 4
-"""Most jobs that get a plain line each; more jobs get one line in total."""
+"""Maximum number of jobs that get one plain line each; more jobs get one line in total."""
 _PLAIN_EVERY_S, _PLAIN_AT_MOST_EVERY_S = 30.0, 600.0
 _PLAIN_SHARE = 0.1
 """Pause between plain lines as a share of the elapsed time, so that they become rarer."""
@@ -29,7 +29,7 @@ _CLEAR_TO_END = "\x1b[K"
 class Progress:
     """Progress of a session's jobs: lines updated in place on a terminal, at most as many as it has rows.
 
-    Elsewhere a plain line for each job that starts or ends, and occasional lines on the overall progress.
+    Elsewhere it prints a plain line per job that starts or ends, and occasional lines on the total progress.
     """
 
     def __init__(self, jobs: Sequence[JobProgress], parallel: int = 1) -> None:
@@ -76,7 +76,7 @@ class Progress:
             silence(sys.stderr)
 
     def show(self) -> None:
-        """Print new statuses, and progress from time to time; does nothing on a terminal."""
+        """Print new statuses, and progress from time to time; no effect on a terminal."""
         if self._live:
             return
         for index, job in enumerate(self._jobs):
@@ -130,7 +130,7 @@ class Progress:
 class CountedProgress:
     """Progress of counted work of known or unknown length, as a context manager.
 
-    On a terminal, one line on stderr that is updated in place and cleared at the end; elsewhere occasional
+    On a terminal it is one line on stderr, updated in place and cleared at the end; elsewhere, occasional
     lines.
     """
 
@@ -208,7 +208,7 @@ def _pause(passed: float) -> float:
 
 
 def _cells(job: JobProgress, width: int) -> tuple[str, ...]:
-    """Return the cells of a job; narrow lines omit the steps, which follow from the iterations."""
+    """Return the table cells of a job; narrow lines omit the steps, which follow from the iterations."""
     name, iteration, steps, *others = job.cells()
     return (name, iteration, *((steps,) if width >= 100 else ()), *others)
 

@@ -8,26 +8,26 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-Cell = str | int | float | None
+Value = str | int | float | None
 
 _PADDING = 3
 """Characters per column in addition to its contents: two spaces and a line."""
 _UNBROKEN_TEXT, _UNBROKEN_HEADING = 12, 8
-"""Longest words of text, and of headings of numbers, that are never broken on a narrow terminal."""
+"""Length up to which words of text, and of the headings of numbers, are never broken on a narrow terminal."""
 
 
 def print_table(
     columns: Sequence[str],
-    rows: Sequence[Sequence[Cell]],
+    rows: Sequence[Sequence[Value]],
     title: str = "",
     whole: Collection[str] = (),
     spare: Sequence[str] = (),
 ) -> None:
-    """Print rows under a line of column names; None is an empty cell.
+    """Print rows under a line of column names; None is an empty value.
 
     On a terminal too narrow for the table, columns in `spare` are omitted in that order, with a note below;
     if that is not enough, columns in `whole` are wrapped too; if that is not enough either, each row is
-    printed as a list of its cells. Numbers are never wrapped. If stdout is not a terminal: no title, one row
+    printed as a list of its values. Numbers are never wrapped. If stdout is not a terminal: no title, one row
     per line, all columns, cells separated by tabs, numbers with six significant digits.
     """
     if not sys.stdout.isatty():
@@ -53,8 +53,8 @@ def print_table(
 
 
 def without_empty(
-    columns: Sequence[str], rows: Sequence[Sequence[Cell]], names: Collection[str]
-) -> tuple[list[str], list[list[Cell]]]:
+    columns: Sequence[str], rows: Sequence[Sequence[Value]], names: Collection[str]
+) -> tuple[list[str], list[list[Value]]]:
     """Drop the named columns whose cells are all empty."""
     kept = [
         index
@@ -64,22 +64,22 @@ def without_empty(
     return [columns[index] for index in kept], [[row[index] for index in kept] for row in rows]
 
 
-def shown(cell: Cell) -> str:
-    """Format a cell for display: four significant digits, thousands separated, `-` if empty."""
-    if cell is None:
+def shown(value: Value) -> str:
+    """Format a value of a table: four significant digits, thousands separated, `-` if empty."""
+    if value is None:
         return "-"
-    if isinstance(cell, int):
-        return f"{cell:,}"
-    if isinstance(cell, float):
-        return f"{cell:,.0f}" if abs(cell) >= 10_000 else f"{cell:.4g}"
-    return cell
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:,.0f}" if abs(value) >= 10_000 else f"{value:.4g}"
+    return value
 
 
 class _Layout:
     """Formatted columns of a table, and the width they need."""
 
     def __init__(
-        self, columns: Sequence[str], rows: Sequence[Sequence[Cell]], whole: Collection[str]
+        self, columns: Sequence[str], rows: Sequence[Sequence[Value]], whole: Collection[str]
     ) -> None:
         self.columns = [
             _Column(name, [row[index] for row in rows], name in whole) for index, name in enumerate(columns)
@@ -118,16 +118,16 @@ class _Layout:
         for column, own in zip(self.columns, widths, strict=True):
             justify: Literal["left", "right"] = "right" if column.numeric else "left"
             table.add_column(Text(column.name), justify=justify, overflow="fold", width=own)
-        for cells in zip(*(column.texts for column in self.columns), strict=True):
-            table.add_row(*(Text(cell) for cell in cells))
+        for values in zip(*(column.texts for column in self.columns), strict=True):
+            table.add_row(*(Text(value) for value in values))
         return table
 
 
 class _Column:
-    def __init__(self, name: str, cells: Sequence[Cell], whole: bool) -> None:
+    def __init__(self, name: str, values: Sequence[Value], whole: bool) -> None:
         self.name = name
-        self.texts = [shown(cell) for cell in cells]
-        self.numeric = all(isinstance(cell, int | float | None) for cell in cells)
+        self.texts = [shown(value) for value in values]
+        self.numeric = all(isinstance(value, int | float | None) for value in values)
         self._firm = self.numeric or whole
 
     def may_break(self) -> None:
@@ -152,16 +152,16 @@ class _Column:
 def _print_as_lists(console: "Console", layout: _Layout, title: str) -> None:
     lines = [title] if title else []
     name_width = max(len(column.name) for column in layout.columns)
-    for cells in zip(*(column.texts for column in layout.columns), strict=True):
-        for column, cell in zip(layout.columns, cells, strict=True):
-            lines.append(f"{column.name:<{name_width}}  {cell}")
+    for values in zip(*(column.texts for column in layout.columns), strict=True):
+        for column, value in zip(layout.columns, values, strict=True):
+            lines.append(f"{column.name:<{name_width}}  {value}")
         lines.append("")
     console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)
 
 
-def _piped(cell: Cell) -> str:
-    if cell is None:
+def _piped(value: Value) -> str:
+    if value is None:
         return ""
-    if isinstance(cell, float):
-        return f"{cell:.0f}" if 1e5 <= abs(cell) < 1e15 else f"{cell:.6g}"
-    return " ".join(str(cell).split())
+    if isinstance(value, float):
+        return f"{value:.0f}" if 1e5 <= abs(value) < 1e15 else f"{value:.6g}"
+    return " ".join(str(value).split())

@@ -1,4 +1,4 @@
-"""Frames of an episode with a caption, and the files they are written to."""
+"""Frames of an episode with a caption, and their files."""
 
 import zlib
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ def caption_strip(caption: str, width: int) -> Frame:
 
 @dataclass(frozen=True)
 class PackedFrame:
-    """A compressed frame, because an episode may have thousands of a megabyte each."""
+    """A compressed frame; an episode may have thousands of frames of one megabyte each."""
 
     content: bytes
     shape: tuple[int, ...]

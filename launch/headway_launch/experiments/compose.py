@@ -5,12 +5,22 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Any
 
 from headway.config.experiment import NO_PRESET, ExperimentConfig
-from headway.config.schema import build, describe, nearest, parse_seeds, plain, refuse_targets, suggestion
+from headway.config.schema import (
+    build,
+    describe,
+    literal_choices,
+    nearest,
+    parse_seeds,
+    plain,
+    refuse_targets,
+    suggestion,
+)
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
@@ -68,8 +78,10 @@ class Experiment:
 
     @property
     def evaluated_env(self) -> Mapping[str, Any]:
-        """Identity of the evaluation environment: id, arguments, adapter options, and the wrappers that do
-        more than change rewards."""
+        """Identity of the evaluation environment: its id, arguments, adapter options and wrappers.
+
+        Wrappers that only change rewards are left out.
+        """
         wrappers = [
             wrapper
             for wrapper in self.env_mapping.get("wrappers", ())
@@ -85,8 +97,9 @@ class Experiment:
         return tuple(self.env.rules) if chosen is None else chosen
 
     def prepare(self, known: "dict[str, PreparedEnv] | None" = None) -> PreparedEnv:
-        """Return the prepared environment and print its notices. `known`: cache of prepared environments for
-        experiments that differ in their algorithm only.
+        """Return the prepared environment and print its notices.
+
+        `known`: cache of prepared environments for experiments that differ in their algorithm only.
 
         Raises HeadwayError for unusable data, a rule that is unknown or cannot play, training arguments that
         change observations or actions, and an algorithm that cannot run on the environment.
@@ -139,7 +152,7 @@ class Experiment:
                 self.env.rules[rule].make(prepared)
             except HeadwayError as error:  # wrappers hide its inputs
                 raise HeadwayError(f"evaluation.rules: {error}") from error
-        give_back_memory()  # each training process is about to load the same data
+        give_back_memory()  # each training process loads the same data next
         for line in dict.fromkeys((*notices_of(prepared), *notices_of(training))):
             print_line(f"headway: {line}")
         return PreparedEnv(self.env, prepared, training, spec)
@@ -171,8 +184,10 @@ def compose(overrides: Sequence[str]) -> Experiment:
 def _preset_values(
     presets: Mapping[str, Any], mapping: Mapping[str, Any], by_default: bool
 ) -> Mapping[str, Any]:
-    """Return a preset's values for the experiment's algorithm. If it has none, return nothing for a preset
-    that applies by default and raise HeadwayError for any other."""
+    """Return a preset's values for the experiment's algorithm.
+
+    If it has none, return nothing for a preset that applies by default and raise HeadwayError for any other.
+    """
     name = str((mapping.get("algo") or {}).get("name"))
     if not presets or (by_default and name not in presets):
         return {}
@@ -195,25 +210,23 @@ def _has_key(mapping: object, key: str) -> bool:
 
 
 def resolve(mapping: Mapping[str, Any]) -> Experiment:
-    """Return the experiment of a composed or stored configuration, given as nested mappings. Raises
-    HeadwayError if it is not valid."""
+    """Return the experiment of a composed or stored configuration, given as nested mappings.
+
+    Raises HeadwayError if it is not valid.
+    """
     refuse_targets(mapping)
     values = dict(mapping)
     if "seed" in values:
         values["seed"] = parse_seeds(values["seed"])
+    algo, algo_config = _algorithm(build(ExperimentConfig, {"algo": values.get("algo", {})}).algo)
+    if isinstance(rollout := values.get("rollout", {}), Mapping):
+        values["rollout"] = {**algo.rollout(algo_config), **rollout}
     config = build(ExperimentConfig, values)
     if not _DEVICE.fullmatch(config.device):
         raise HeadwayError(f"device={config.device} is not a device; write auto, cpu, cuda or cuda:NUMBER")
     if config.device.startswith("cuda") and not Path("/dev/nvidiactl").exists():
         raise HeadwayError(f"device={config.device}, but this machine has no NVIDIA GPU; use auto or cpu")
     env = chosen_env(config.env)
-    hyper_parameters = dict(config.algo)
-    name = hyper_parameters.pop("name", None)
-    if not isinstance(name, str):
-        raise HeadwayError(f"algo.name is missing; choose one of {', '.join(algo_entries())}")
-    algo = algo_entry(name)
-    if any(field.name == "name" for field in fields(algo.config)):
-        hyper_parameters["name"] = name
     training_args = _merged(config.env.args, config.env.training_args or {})
     return Experiment(
         config=config,
@@ -225,13 +238,50 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
         ),
         env_mapping=env.mapping,
         algo=algo,
-        algo_config=build(algo.config, hyper_parameters, "algo", name),
+        algo_config=algo_config,
     )
 
 
+def _algorithm(mapping: Mapping[str, Any]) -> tuple[AlgoEntry, Any]:
+    """Return the entry and the config record of `algo`. Raises HeadwayError if it is not valid."""
+    hyper_parameters = dict(mapping)
+    name = hyper_parameters.pop("name", None)
+    if not isinstance(name, str):
+        raise HeadwayError(f"algo.name is missing; choose one of {', '.join(algo_entries())}")
+    entry = algo_entry(name)
+    record = entry.record_for(hyper_parameters)
+    if any(field.name == "name" for field in fields(record)):
+        hyper_parameters["name"] = name
+    elsewhere = partial(_key_elsewhere, entry, hyper_parameters)
+    return entry, build(record, hyper_parameters, "algo", name, elsewhere)
+
+
+def _key_elsewhere(algo: AlgoEntry, hyper_parameters: Mapping[str, Any], key: str) -> str | None:
+    """Return where a key exists that the algorithm lacks with these hyper-parameters; None if nowhere.
+
+    The choices of this algorithm that have the key are named or, if there are none, the other algorithms.
+    """
+
+    def has_key(record: type) -> bool:
+        return any(field.name == key for field in fields(record))
+
+    owners = [
+        f"algo.{choice}={value}"
+        for choice, values in literal_choices(algo.record_for(hyper_parameters)).items()
+        for value in values
+        if has_key(algo.record_for({**hyper_parameters, choice: value}))
+    ]
+    owners = owners or [name for name, entry in algo_entries().items() if has_key(entry.config)]
+    if len(owners) < 2:
+        return f"it is one of {owners[0]}" if owners else None
+    return f"it is one of {', '.join(owners[:-1])} and {owners[-1]}"
+
+
 def configs_folder() -> Path:
-    """Return the folder `configs` of the project, or its copy in an installed package. Raises HeadwayError if
-    there is neither."""
+    """Return the folder `configs` of the project, or its copy in an installed package.
+
+    Raises HeadwayError if there is neither.
+    """
     in_project = Path(__file__).resolve().parents[3] / "configs"
     packaged = Path(__file__).resolve().parents[1] / "packaged_configs"
     for folder in (in_project, packaged):
@@ -269,8 +319,10 @@ def summary_of(group: str, option: str) -> str:
 
 
 def _hydra_override(override: str, overrides: Sequence[str]) -> str:
-    """Return an override in the form for Hydra: seeds written out, `++` before a key that no file may set.
-    Raises HeadwayError for an invalid one."""
+    """Return an override in Hydra's form: seeds written out, `++` before a key that no YAML file may set.
+
+    Raises HeadwayError for an invalid one.
+    """
     if deletion := _DELETION.fullmatch(override):
         if deletion["key"] in groups():
             raise HeadwayError(f"{override}: {deletion['key']} cannot be removed; choose another option")
@@ -315,7 +367,7 @@ def _first_part(override: str) -> str:
 
 
 def _keys_ending_in(key: str, overrides: Sequence[str]) -> list[str]:
-    """Return the keys of the experiment that `overrides` describe which end in `key`."""
+    """Return the keys that end in `key`, in the experiment that `overrides` describe."""
     try:
         found = compose(overrides if _names_env(overrides) else [*overrides, "env=trivial"])
     except HeadwayError:
@@ -333,8 +385,10 @@ def _names_env(overrides: Sequence[str]) -> bool:
 
 
 def _option_without_file(group: str, option: str, options: Sequence[str]) -> str:
-    """Return the override for a registered name or a module path, which need no YAML file. Raises
-    HeadwayError for an unknown option."""
+    """Return the override for a registered name or a module path, which need no YAML file.
+
+    Raises HeadwayError for an unknown option.
+    """
     if group == "env" and (option in env_entries() or is_module_path(option)):
         return f"++env={{id:{option}}}"
     if group == "algo" and option in algo_entries():
@@ -350,8 +404,10 @@ def _experiment_hint(word: str) -> str:
 
 
 def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[str, str]]:
-    """Return the composed configuration and the option chosen in each group. Raises HeadwayError if Hydra
-    refuses an override."""
+    """Return the composed configuration and the option chosen in each group.
+
+    Raises HeadwayError if Hydra refuses an override.
+    """
     from hydra import compose as hydra_compose
     from hydra import initialize_config_dir
     from hydra.errors import HydraException

@@ -6,14 +6,17 @@ from typing import Any
 
 from headway.config.experiment import ExperimentConfig
 from headway.config.schema import plain
+from headway.registry import algo_entries
 from headway_launch.experiments.compose import Experiment
 
 _IDENTITY_KEYS = ("study", "env_steps", "device", "env", "algo", "rollout", "evaluation")
 
 
 def session_settings(config: ExperimentConfig) -> dict[str, object]:
-    """Return the settings, by key, of which a session has one value: experiments that differ in one need
-    separate sessions."""
+    """Return the settings, by key, that are the same for all experiments of a session.
+
+    Experiments that differ in one of them need separate sessions.
+    """
     return {
         "study": config.study,
         "store": config.store,
@@ -25,8 +28,7 @@ def session_settings(config: ExperimentConfig) -> dict[str, object]:
 
 
 def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]:
-    """Return the whole configuration with every default written out, so that a changed default changes no
-    stored run."""
+    """Return the configuration with every default written out, so that stored runs keep old defaults."""
     config: ExperimentConfig = experiment.config
     evaluation = {**plain(config.evaluation), "rules": list(experiment.rules)}
     return {
@@ -41,6 +43,19 @@ def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]
         },
         "algo": {**plain(experiment.algo_config), "name": experiment.algo_name},
     }
+
+
+def upgraded(mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a configuration stored by an earlier version in the form of this version.
+
+    Hyper-parameters that had no effect are dropped, and newer ones are set to the value that reproduces the
+    old behaviour.
+    """
+    algo = mapping.get("algo")
+    entry = algo_entries().get(algo.get("name", "")) if isinstance(algo, Mapping) else None
+    if entry is None or not isinstance(algo, Mapping):
+        return dict(mapping)
+    return {**mapping, "algo": {**getattr(entry.config, "VALUES_BEFORE", {}), **entry.stored(algo)}}
 
 
 def cell_parameters(experiment: Experiment) -> dict[str, Any]:

@@ -12,10 +12,10 @@ _FORMS = "write KEY=a,b, KEY=choice(a,b) or KEY=range(0,5)"
 
 
 def compose_sweep(overrides: Sequence[str]) -> list[Experiment]:
-    """Return one experiment per combination of the values that `overrides` list
-    (`algo=ippo,mappo algo.lr=choice(1e-3,3e-4)`), the last key varying fastest; seeds stay together.
+    """Return one experiment per combination of the values that `overrides` list; seeds stay together.
 
-    Raises HeadwayError for an invalid override, and for several values of a key in `session_settings`.
+    For example `algo=ippo,mappo algo.lr=choice(1e-3,3e-4)`; the last key varies fastest. Raises HeadwayError
+    for an invalid override, and for several values of a key in `session_settings`.
     """
     experiments = [compose(chosen) for chosen in combinations(overrides)]
     require_one_session(experiments)

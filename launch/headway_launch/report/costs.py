@@ -1,7 +1,7 @@
 """Sections on cost: energy, CO2 and CPU seconds, and rewards against them."""
 
 from headway.stats import frames, plots
-from headway.stats.plots import counted
+from headway.wording import counted
 from headway_launch.report.parts import (
     Part,
     Picture,

@@ -112,14 +112,14 @@ def episode_metrics_section(data: StudyData) -> Section:
         where = data.where(task)
         body.append(
             Table(
-                f"figures{data.file_suffix(place)}",
+                f"episode_metrics{data.file_suffix(place)}",
                 f"Episode metrics{where}.",
                 ["metric", *columns],
                 [
                     [str(metric), *map(figure, row)]
                     for metric, row in zip(means.index, means.to_numpy(), strict=True)
                 ],
-                means.rename_axis("figure").reset_index(),
+                means.rename_axis("metric").reset_index(),
             )
         )
         components = means[[str(name).startswith(_COMPONENT) for name in means.index]]
@@ -140,7 +140,7 @@ def episode_metrics_section(data: StudyData) -> Section:
             "The reward is not shown by component, because the environment reports no metrics with names "
             "that begin with `reward_`."
         )
-    return Section("figures", "Episode metrics of the last evaluation", body)
+    return Section("episode_metrics", "Episode metrics of the last evaluation", body)
 
 
 def _is(data: StudyData, task: str, controller: str) -> "pd.Series[bool]":

@@ -1,4 +1,4 @@
-"""Writing a report: one self-contained HTML page, and its parts as files."""
+"""Report files: one self-contained HTML page, and its parts as separate files."""
 
 import base64
 import io

@@ -18,7 +18,7 @@ from headway_launch.studies.runs import configuration
 _SHOWN = ("final_reward", "auc", "env_steps", "kwh", "cpu_seconds", "steps_per_second", "duration_s")
 _FIGURES = (*_SHOWN, "kg_co2")
 _MOST_VALUES = 3
-"""Values of one tag that are listed; of more, only the number is given."""
+"""Maximum number of values of a tag that are listed; if there are more, only their number is given."""
 
 
 def runs_section(data: StudyData) -> Section:
@@ -61,7 +61,7 @@ def runs_section(data: StudyData) -> Section:
 
 
 def _determinism_exception(data: StudyData) -> str:
-    """Return the end of the sentence on bitwise reproduction."""
+    """Return the end of the sentence on bitwise reproduction, which names its exceptions."""
     cells = [configuration(members[0].directory) for members in data.cells.values()]
     if any(cell["algo"].get("application") == "arrival" for cell in cells):
         return ", except for algorithms that apply gradients in order of arrival (`algo.application`)."
@@ -105,7 +105,7 @@ def provenance_section(data: StudyData) -> Section:
     dirty = "git.dirty" in made and (made["git.dirty"] == "true").any()
     if dirty:
         body.append("Some runs used uncommitted changes to the code (`git.dirty`).")
-    return Section("making", "Provenance", body)
+    return Section("provenance", "Provenance", body)
 
 
 def _line(run: RunRow) -> str:

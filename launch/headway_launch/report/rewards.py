@@ -5,6 +5,7 @@ from typing import Any
 import pandas as pd
 
 from headway.stats import FEWEST_POINTS, frames, plots
+from headway.wording import counted
 from headway_launch.report.parts import (
     MISSING,
     Part,
@@ -43,7 +44,7 @@ def final_reward_section(data: StudyData) -> Section:
         label = "reward" if name == "training" else data.metric_label
         headings += [f"{name}: final {label}", f"{name}: AUC, own range", f"{name}: AUC, study's range"]
     table = Table(
-        "published_form",
+        "final_rewards",
         f"Final {data.metric_label} and AUC: mean ± standard deviation over seeds (ddof = 1), as in most "
         "papers' tables.",
         headings,
@@ -62,7 +63,7 @@ def final_reward_section(data: StudyData) -> Section:
         *_training_notes(data),
     ]
     body += [table, *_unequal_budgets(data), *_too_short(data), *_single_seeds(data)]
-    return Section("published", f"Final {data.metric_label} and AUC", body)
+    return Section("rewards", f"Final {data.metric_label} and AUC", body)
 
 
 def _training_notes(data: StudyData) -> list[str]:
@@ -81,7 +82,7 @@ def _training_notes(data: StudyData) -> list[str]:
     notes += _differing_training_rewards(data)
     if without := int(metrics["final_reward"].isna().sum()):
         notes.append(
-            f"No episode ended during training in {plots.counted(without, 'run')}: the training columns "
+            f"No episode ended during training in {counted(without, 'run')}: the training columns "
             "cover the remaining runs."
         )
     return notes
@@ -95,7 +96,7 @@ def _too_short(data: StudyData) -> list[str]:
             points = (
                 "iterations in which episodes ended" if name == "training" else "set by `evaluation.every`"
             )
-            causes.append(f"the {name} curve of {plots.counted(short, 'run')} (points: {points})")
+            causes.append(f"the {name} curve of {counted(short, 'run')} (points: {points})")
     if not causes:
         return []
     return [
@@ -106,7 +107,7 @@ def _too_short(data: StudyData) -> list[str]:
 
 
 def _differing_training_rewards(data: StudyData) -> list[str]:
-    """Return one note for each task whose controllers were trained with different rewards."""
+    """Return one note per task whose controllers were trained with different rewards."""
     alike = {task: data.reward_groups(task) for task in data.tasks}
     return [
         f"In the training columns{data.where(task)}, compare only controllers that were trained with the "
@@ -169,7 +170,7 @@ def interquartile_section(data: StudyData) -> Section:
                     ),
                 )
             )
-    return Section("sound", "Interquartile means and comparison with the rules", body)
+    return Section("comparison", "Interquartile means and comparison with the rules", body)
 
 
 def _interquartile_table(data: StudyData) -> Table:
@@ -196,12 +197,18 @@ def _interquartile_table(data: StudyData) -> Table:
             exact.append({**of_rule, **_exact(against)})
     names = ["controller", "seeds", f"IQM of final {data.metric_label} [95%]", "last evaluation"]
     return Table(
-        "sound_form",
+        "interquartile_means",
         f"Interquartile mean (IQM) of the final {data.metric_label} with its 95% interval by the "
         f"stratified bootstrap over seeds, evaluated on {_evaluation_episodes(data)}; mean over all "
         "episodes of the last evaluation; and its paired difference from the best rule on those episodes, "
         "with the 95% interval by Student's t.",
-        [*_environment_heading(data), *names, "minus the best rule [95%]", "interval over", "conclusion"],
+        [
+            *_environment_heading(data),
+            *names,
+            "difference to best rule [95% interval]",
+            "interval over",
+            "conclusion",
+        ],
         rows,
         pd.DataFrame(exact),
         words=_text_columns(data) | {len(_environment_heading(data)) + column for column in (5, 6)},

@@ -3,7 +3,7 @@
 from datetime import UTC, datetime
 from importlib.metadata import version
 
-from headway.stats.plots import counted
+from headway.wording import counted
 from headway_launch.report.costs import energy_section, tradeoff_section
 from headway_launch.report.learning import across_environments, curves_section, episode_metrics_section
 from headway_launch.report.page import Report

@@ -14,6 +14,7 @@ from headway.events import LABELS
 from headway.stats import Interval, MeanStd, frames, mean_std, plots
 from headway.store import RunSelection
 from headway.store.query import LABELS as RUN_LABELS
+from headway.wording import counted
 from headway_launch.experiments.parameters import flat
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference
 from headway_launch.studies.runs import (
@@ -165,7 +166,7 @@ class StudyData:
 
     @cached_property
     def few_seeds_note(self) -> str:
-        """Warning beside bootstrap intervals; empty if every cell has enough seeds."""
+        """Warning about bootstrap intervals over few seeds; empty if every cell has enough."""
         if min(len(members) for members in self.cells.values()) >= SEEDS_FOR_A_CLAIM:
             return ""
         return (
@@ -323,4 +324,4 @@ def _reward_wrappers(env: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def _episodes(numbers: set[int]) -> str:
-    return plots.counted(numbers.pop(), "episode") if len(numbers) == 1 else "differing numbers of episodes"
+    return counted(numbers.pop(), "episode") if len(numbers) == 1 else "differing numbers of episodes"

@@ -1,1 +1,1 @@
-"""A session: its jobs, the processes that train them, and what is recorded of them."""
+"""A session: its jobs, the processes that train them, and the recording of their results."""

@@ -18,7 +18,8 @@ from headway.contracts.errors import HeadwayError
 from headway.energy import EnergyMeter, JobUsage
 from headway.events import EvaluationFinished, Event, Failed, Finished, IterationFinished, Started, Usage
 from headway_launch.console.progress_display import CountedProgress
-from headway_launch.runner.jobs import CellPlan, CoreShares, PlannedJob, uses_gpu, workers_of
+from headway_launch.runner.cores import CoreShares, uses_gpu, workers_of
+from headway_launch.runner.jobs import CellPlan, PlannedJob
 from headway_launch.runner.training_process import Report, ShouldStop, TrainingProcess, train_and_report
 from headway_launch.runner.warm_up import compile_kernels_of
 
@@ -26,18 +27,19 @@ if TYPE_CHECKING:
     from headway.training.loop import TrainingJob
 
 _ITERATIONS = 6
-"""Iterations measured of each cell, after a first one that is not counted because it includes one-off
-work."""
+"""Iterations measured per cell, after a first one that is not counted because it includes one-off work."""
 _FEWEST, _SECONDS = 2, 3.0
-"""After `_SECONDS` of training, `_FEWEST` measured iterations are enough."""
+"""Measurement also ends after `_SECONDS` of training if at least `_FEWEST` iterations were measured."""
 _PATIENCE_S = 600.0
 _POLL_S = 0.2
 
 
 @dataclass(frozen=True)
 class Pace:
-    """Measured durations of the parts of one job; CPU seconds are those of its training process and
-    workers."""
+    """Measured durations of the parts of one job.
+
+    CPU seconds are those of its training process and workers.
+    """
 
     start_s: float
     """Seconds from launch to the beginning of training."""
@@ -86,8 +88,11 @@ class Expectation:
 
 
 def evaluations_left(config: ExperimentConfig, done: int) -> float:
-    """Return the number of evaluations after iteration `done`, the last one weighted by its episodes
-    relative to the others. The evaluation before training is part of the start-up and not counted."""
+    """Return the number of evaluations after iteration `done`, without the one before training.
+
+    The last one is weighted by its episodes relative to the others. The evaluation before training is part of
+    the start-up.
+    """
     steps, every = config.rollout.copies * config.rollout.steps, config.evaluation.every
     reached = sum(
         iteration * steps // every > (iteration - 1) * steps // every
@@ -97,8 +102,7 @@ def evaluations_left(config: ExperimentConfig, done: int) -> float:
 
 
 def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, Pace], str]:
-    """Return the pace of each cell, keyed by its `id()`, and a description of how power is measured or
-    estimated.
+    """Return the pace of each cell, by its `id()`, and a description of the sources of power readings.
 
     If the cells do not fill the last round of processes, the first ones are trained again to keep the load
     realistic. Raises HeadwayError if a cell cannot be trained.
@@ -234,7 +238,9 @@ class Trial:
 
 class _Lane:
     """One process and the cells that it measures in turn; `trial` belongs to the first cell in `waiting`.
-    `progress` shows each cell as it begins."""
+
+    `progress` shows each cell as it begins.
+    """
 
     def __init__(
         self, cells: Sequence[CellPlan], shares: CoreShares, folder: Path, progress: CountedProgress

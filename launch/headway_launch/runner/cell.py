@@ -13,16 +13,18 @@ from headway.store.checkpoint import latest_iteration
 from headway.store.run_folder import rules_file, status_of_all
 from headway.store.session import Cell, Run, SessionStore
 from headway.training.loop import TrainingJob
+from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.console.progress_display import CountedProgress
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 from headway_launch.runner.comparison import rule_episodes
-from headway_launch.runner.jobs import CellPlan, CoreShares, PlannedJob, workers_of
+from headway_launch.runner.cores import CoreShares, workers_of
+from headway_launch.runner.jobs import CellPlan, PlannedJob
 from headway_launch.runner.results import SeedResult, stored_result
 
 Rules = Mapping[str, list[Row]]
 _EVALUATION_SEED = "evaluation_seed"
-"""Column of the evaluation seed in the rules' rows: `episode_seed` counts from 0 for each of them."""
+"""Column of the evaluation seed in the rules' rows, whose `episode_seed` counts from 0 with every seed."""
 
 
 class SessionCell:
@@ -32,18 +34,20 @@ class SessionCell:
         experiment = plan.experiment
         self.plan, self.experiment, self.config = plan, experiment, experiment.config
         self.results: list[SeedResult] = [stored_result(folder) for folder in plan.finished]
-        """One result per seed that has ended, in this session or before it."""
+        """One result per seed that ended, in this session or an earlier one."""
         self.rules: Rules = {}
         self.touched = bool(plan.jobs)
-        """Whether the session adds anything to the cell."""
+        """Whether the session trains or stores anything in this cell."""
         self._store = store
         self._cell: Cell = store.begin_cell(
             self.config.study, self.config.env.id, experiment.algo_name, cell_parameters(experiment)
         )
 
     def runs(self, planned: PlannedJob, shares: CoreShares) -> list[Run]:
-        """Return the runs of a job, one per seed, newly created or resumed. Raises HeadwayError if the store
-        cannot be written or another session holds a run."""
+        """Return the runs of a job, one per seed, newly created or resumed.
+
+        Raises HeadwayError if the store cannot be written or another session holds a run.
+        """
         if planned.resumed:
             stacked = len(planned.seeds) > 1
             return [self._store.resume(run_id, stacked=stacked) for run_id in planned.resumed]
@@ -54,6 +58,7 @@ class SessionCell:
             "stack": list(planned.seeds),
             "rollout": plain(planned.config.rollout),
             "workers": workers_of(planned, shares),
+            "scaled_actions": True,
         }
         return [
             self._cell.begin_run(
@@ -99,7 +104,6 @@ class SessionCell:
 
     def _rule_rows(self, episodes: int) -> Rules:
         """Play all rules for `episodes` evaluation episodes each and return their rows."""
-        from headway.stats.plots import counted
 
         jobs, rules, seed = self.plan.jobs, self.experiment.rules, self.config.evaluation.seed
         print_line(f"{counted(len(rules), 'rule')} to play, {counted(episodes, 'episode')} each")

@@ -12,7 +12,7 @@ from headway.events import Row
 from headway.rollout.episodes import EvaluationRequest, OnStep, evaluate_policy, ignore_step
 from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.store.checkpoint import load_latest
-from headway.store.checkpoint_fit import require_fitting
+from headway.store.checkpoint_shapes import require_same_shapes
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.experiments.compose import PreparedEnv
 from headway_launch.runner.stored_run import StoredRun
@@ -30,19 +30,20 @@ class TrainedPolicy:
 
 
 def newest_policy(run: StoredRun, environment: PreparedEnv) -> TrainedPolicy:
-    """Return the policies in the newest complete checkpoint of a run, for playing in `environment`: the run's
-    own, or one with the same `Experiment.evaluated_env`. Raises HeadwayError if there is no checkpoint, or if
-    it does not fit the environment's observations and actions."""
+    """Return the policies in the newest complete checkpoint of a run, for playing in `environment`.
+
+    `environment` is the run's own, or one with the same `Experiment.evaluated_env`. Raises HeadwayError if
+    there is no checkpoint, or if it does not fit the environment's observations and actions.
+    """
     iteration, state, notices = load_latest(run.directory / CHECKPOINTS)
     for line in notices:
         print(f"headway: {line}", file=sys.stderr)
     experiment, rollout = run.experiment, run.experiment.config.rollout
-    policy = experiment.algo.acting_policy(experiment.algo_config, environment.spec)
+    spec = run.policy_spec(environment)
+    policy = experiment.algo.acting_policy(experiment.algo_config, spec)
     env, seeds, replicas = environment.entry, (run.record.seed,), len(run.stack)
-    require_fitting(state["acting"], policy, replicas, experiment.config.env.id, run.directory)
-    plan = RolloutPlan.of(
-        rollout, env.make, env.preload, environment.prepared, environment.spec, policy, seeds
-    )
+    require_same_shapes(state["acting"], policy, replicas, experiment.config.env.id, run.directory)
+    plan = RolloutPlan.of(rollout, env.make, env.preload, environment.prepared, spec, policy, seeds)
     replica = run.stack.index(run.record.seed)
     parameters = {name: np.split(np.asarray(a), replicas)[replica] for name, a in state["acting"].items()}
     return TrainedPolicy(plan, parameters, iteration)

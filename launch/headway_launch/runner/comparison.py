@@ -8,7 +8,7 @@ from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS, Row
 from headway_launch.console.output import print_line
-from headway_launch.console.tables import Cell, print_table
+from headway_launch.console.tables import Value, print_table
 
 if TYPE_CHECKING:
     from headway.rollout.episodes import OnStep
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 
 _NOT_METRICS = LABELS | {"length", "return"}
 SEEDS_FOR_A_CLAIM = 10
-"""Fewest training seeds for which an interval over seeds that excludes 0 supports a claim."""
+"""Minimum number of training seeds from which an interval over seeds that excludes 0 supports a claim."""
 EPISODES_FOR_A_CLAIM = 20
-"""Fewest episodes for which an interval over episodes that excludes 0 supports a claim."""
-_COLUMNS = ("controller", "episodes", "return", "learner minus rule", "95% from", "95% to", "interval")
+"""Minimum number of episodes from which an interval over episodes that excludes 0 supports a claim."""
+_COLUMNS = ("controller", "episodes", "return", "learner minus rule", "95% low", "95% high", "interval")
 
 
 def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "--rules") -> tuple[str, ...]:
-    """Return the names of the rules to play: those listed in `names` (`a,b`), each once, or by default all
-    that can play the environment. Prints which rules are left out because wrappers hide their inputs.
+    """Return the names of the rules to play: those in `names` (`a,b`), each once, or by default all playable.
 
-    Raises HeadwayError, naming `option`, for an unknown rule or a listed rule that cannot play.
+    Prints which rules are left out because wrappers hide their inputs. Raises HeadwayError, naming `option`,
+    for an unknown rule or a listed rule that cannot play.
     """
     known = environment.entry.rules
     if names is not None:
@@ -81,8 +81,10 @@ def counting(counted: "CountedProgress", name: str) -> "OnStep":
 
 
 def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping[str, Sequence[Row]]) -> None:
-    """Print the mean return and metrics of `learned` (seeds x episodes) and of the rules (episodes each), and
-    the learner's return minus each rule's with the 95% interval of `difference`.
+    """Print mean returns and metrics of a learner and of rules, and the differences of their returns.
+
+    `learned`: seeds x episodes; `rules`: episodes of each rule. Differences are the learner's return minus
+    each rule's, with the 95% interval of `difference`.
     """
     label = name if len(learned) == 1 else f"{name}, {len(learned)} seeds"
     controllers = [(label, [row for rows in learned for row in rows])] if learned else []
@@ -90,7 +92,7 @@ def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping
     metrics = list(
         dict.fromkeys(name for _, rows in controllers for name in rows[0] if name not in _NOT_METRICS)
     )
-    table: list[tuple[Cell, ...]] = []
+    table: list[tuple[Value, ...]] = []
     methods: set[str] = set()
     for controller, rows in controllers:
         against = _return_difference(learned, rows) if controller != label else None
@@ -138,9 +140,13 @@ def few_episodes(episodes: int) -> str:
     )
 
 
-def _print_by_column(columns: Sequence[str], table: Sequence[Sequence[Cell]], methods: Iterable[str]) -> None:
+def _print_by_column(
+    columns: Sequence[str], table: Sequence[Sequence[Value]], methods: Iterable[str]
+) -> None:
     """Print the table with one column per controller, which is narrower for few controllers and many metrics.
-    On a narrow terminal the columns of the rules with the lowest return are left out first."""
+
+    On a narrow terminal the columns of the rules with the lowest return are left out first.
+    """
     method = columns.index("interval")
     rows = [
         (name, *(row[place] for row in table))
@@ -151,7 +157,7 @@ def _print_by_column(columns: Sequence[str], table: Sequence[Sequence[Cell]], me
     rules = sorted((row for row in table if str(row[0]).startswith("rule ")), key=lambda row: row[2] or 0)
     spare = [str(row[0]).removeprefix("rule ") for row in rules[:-1]]
     title = f"95% intervals: {', '.join(methods)}" if methods else ""
-    print_table(("", *names), rows, title, spare=spare)
+    print_table(("metric", *names), rows, title, spare=spare)
 
 
 def _return_difference(learned: Sequence[Sequence[Row]], rule: Sequence[Row]) -> "Interval | None":

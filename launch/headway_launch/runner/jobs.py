@@ -8,19 +8,20 @@ from math import gcd
 from pathlib import Path
 from typing import Any
 
-from headway.config.experiment import BackendConfig, ExperimentConfig, RolloutConfig
+from headway.config.experiment import ExperimentConfig, RolloutConfig
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
-from headway.rollout.plan import process_holds, replica_groups, within_limit
+from headway.rollout.plan import copies_limit_text, within_limit
 from headway.store.atomic_files import make_folder
 from headway.training.loop import TrainingJob
+from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment, PreparedEnv
 
 _FREE_BYTES = 200 * 2**20
 _FREE_BYTES_PER_SEED = 10 * 2**20
 _CHECKPOINTS_AT_ONCE = 3
-"""Two checkpoints are kept, and a third is written before the oldest is deleted."""
+"""Maximum number of checkpoints on disk: two are kept, and a third is written before the older is deleted."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class PlannedJob:
     training_prepared: Any
     """Result of `EnvEntry.prepare` for the training environment."""
     spec: EnvSpec
-    """Spec of the training environment."""
+    """Spec of the training environment, with actions in the units of the policies."""
     seeds: tuple[int, ...]
     resumed: tuple[str, ...] = ()
     """Identities of the runs to resume, one per seed; empty for new runs."""
@@ -53,12 +54,15 @@ class PlannedJob:
         gates: Sequence[Path] = (),
         resume: bool = False,
     ) -> TrainingJob:
-        """Return the work of the training process: `config` as it trains on this machine, and per seed a run
-        folder and, for stored runs, a gate file."""
+        """Return the work of the training process.
+
+        `config` is the configuration as trained on this machine; `directories` has a run folder per seed and
+        `gates`, for stored runs, a gate per seed.
+        """
         experiment = self.experiment
         return TrainingJob(
             make_env=experiment.env.make,
-            preload=experiment.env.preload,
+            preload=(*experiment.env.preload, *experiment.algo.kernels),
             prepared=self.prepared,
             spec=self.spec,
             make_policy=experiment.algo.acting_policy,
@@ -74,16 +78,6 @@ class PlannedJob:
             make_contributor=experiment.algo.contributor,
             contributor_preload=experiment.algo.preload,
         )
-
-
-@dataclass(frozen=True)
-class CoreShares:
-    """How the cores are shared among training processes."""
-
-    parallel: int
-    """Training processes at once."""
-    workers: int
-    """Rollout workers of each training process whose number of workers is not fixed."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +100,9 @@ def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:
 def new_jobs(
     experiment: Experiment, seeds: Sequence[int], known: dict[str, PreparedEnv] | None = None
 ) -> tuple[PlannedJob, ...]:
-    """Return the jobs that train `seeds` of an experiment. `known`: environments prepared before,
-    as in `Experiment.prepare`.
+    """Return the jobs that train `seeds` of an experiment.
+
+    `known`: environments prepared before, as in `Experiment.prepare`.
 
     Raises HeadwayError as `Experiment.prepare` does, and for a budget that the algorithm refuses.
     """
@@ -115,8 +110,8 @@ def new_jobs(
     requested, rollout = experiment.config, experiment.config.rollout
     if reason := experiment.algo.refuses_budget(experiment.algo_config, requested.iterations):
         raise HeadwayError(
-            f"in {requested.iterations} x {rollout.copies * rollout.steps} env_steps (iterations x "
-            f"rollout.copies x rollout.steps) {reason}"
+            f"with {counted(requested.iterations, 'iteration')} of {rollout.copies * rollout.steps} steps "
+            f"(rollout.copies x rollout.steps) {reason}"
         )
     if experiment.algo.contributor is None:
         config = within_processes(requested, environment.spec)
@@ -130,7 +125,7 @@ def new_jobs(
             config,
             environment.prepared,
             environment.training,
-            environment.spec,
+            environment.spec.for_policies,
             tuple(seeds[first : first + stack]),
         )
         for first in range(0, len(seeds), stack)
@@ -138,8 +133,10 @@ def new_jobs(
 
 
 def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfig:
-    """Return the configuration with small enough blocks and enough workers for an environment that limits the
-    copies per process. Raises HeadwayError if the settings do not allow it."""
+    """Return the configuration with blocks and workers that respect the environment's copies per process.
+
+    Raises HeadwayError if the settings do not allow it.
+    """
     limit, rollout, backend = spec.max_copies_per_process, config.rollout, config.backend
     if limit is None:
         return config
@@ -147,11 +144,13 @@ def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfi
     if backend.name == "serial":
         if stack * rollout.copies > limit:
             ways = f"{_serial_settings(limit, stack, rollout)}, or {_process_settings(limit, stack, config)}"
-            raise HeadwayError(f"{process_holds(spec, limit)}; set {ways}")
+            raise HeadwayError(f"{copies_limit_text(spec, limit)}; set {ways}")
         return config
     block, workers = within_limit(limit, stack, rollout.copies, rollout.block)
     if backend.workers is not None and backend.workers < workers:
-        raise HeadwayError(f"{process_holds(spec, limit)}; set backend.workers={workers}, or leave it out")
+        raise HeadwayError(
+            f"{copies_limit_text(spec, limit)}; set backend.workers={workers}, or leave it out"
+        )
     return replace(
         config,
         rollout=replace(rollout, block=block),
@@ -179,8 +178,11 @@ def _process_settings(limit: int, stack: int, config: ExperimentConfig) -> str:
 
 
 def _one_worker_per_block(requested: ExperimentConfig, spec: EnvSpec, algorithm: str) -> ExperimentConfig:
-    """Return the configuration for an asynchronous algorithm: as `within_processes`, but with one worker per
-    block. Raises HeadwayError if the settings ask for anything else."""
+    """Return the configuration of an asynchronous algorithm, with one worker per block.
+
+    Blocks respect the environment's limit of copies per process, as in `within_processes`. Raises
+    HeadwayError if the settings require anything else.
+    """
     if min(requested.backend.stack, len(requested.seed)) > 1:
         raise HeadwayError(
             f"{algorithm} trains one seed per process, because its workers compute the gradients on CPUs and "
@@ -199,106 +201,23 @@ def _one_worker_per_block(requested: ExperimentConfig, spec: EnvSpec, algorithm:
 
 
 def _print_workers(rollout: RolloutConfig, algorithm: str) -> None:
-    """Print how many workers an asynchronous algorithm has and how long its rollouts are: they determine the
-    number of gradients."""
+    """Print the number of workers and the rollout length of an asynchronous algorithm.
+
+    They determine the number of gradients.
+    """
     number = rollout.copies // rollout.block
     workers = "1 worker" if number == 1 else f"{number} workers"
-    line = (
+    print_line(
         f"headway: {algorithm} has {workers} (rollout.copies / rollout.block) and computes one gradient per "
         f"rollout of {rollout.block} x {rollout.steps} steps"
     )
-    print_line(
-        f"{line}; rollout=asynchronous sets more and shorter ones" if rollout == RolloutConfig() else line
-    )
-
-
-def share_cores(
-    backend: BackendConfig,
-    jobs: Sequence[PlannedJob],
-    cores: int,
-    cluster_cpus: int | None = None,
-    node_cpus: int | None = None,
-) -> CoreShares:
-    """Return how many training processes run at once, and how many rollout workers each has.
-
-    At most one training process runs per core and per job. The workers share the cores, or the cluster's CPUs
-    if they run on a cluster. Jobs with a fixed number of workers run in parallel as far as the cores suffice:
-    on a cluster every worker counts, otherwise a job counts as `cores_taken` says. `node_cpus`: upper limit
-    per job if `cores` are spread over several machines.
-    """
-    fixed = [(job, _fixed_workers(job) or 1) for job in jobs]
-    if cluster_cpus is None:
-        most = max(
-            [
-                1,
-                *(
-                    cores_taken(job.spec, len(job.seeds), job.config.rollout.block, workers, node_cpus)
-                    for job, workers in fixed
-                ),
-            ]
-        )
-    else:
-        most = max([1, *(workers for _, workers in fixed)])
-    for_workers = cores if cluster_cpus is None else cluster_cpus
-    at_once = max(1, min(cores, for_workers // most))
-    parallel = max(1, min(backend.parallel or at_once, len(jobs)))
-    workers = max(1, for_workers // parallel)
-    return CoreShares(parallel, workers if node_cpus is None else min(workers, node_cpus))
-
-
-def cores_taken(spec: EnvSpec, seeds: int, block: int, workers: int, node_cpus: int | None = None) -> int:
-    """Return the cores that a training process and its workers count as: one per worker, since the workers
-    alternate with the learner, and at most `node_cpus`.
-
-    If the replicas of a stack are split over worker groups, only one group counts: the learner's work grows
-    with the number of groups, and counting all of them would leave cores idle while it learns.
-    """
-    taken = max(1, workers // len(replica_groups(spec.max_copies_per_process, seeds, block)))
-    return taken if node_cpus is None else min(taken, node_cpus)
-
-
-def workers_of(job: PlannedJob, shares: CoreShares) -> int:
-    """Return the number of rollout workers of a job: that of its checkpoint, else the one it asks for, else
-    its share of the cores. A new job never has more workers than blocks."""
-    return _fixed_workers(job) or min(shares.workers, _most_workers(job))
-
-
-def _fixed_workers(job: PlannedJob) -> int | None:
-    """Return the number of rollout workers if it does not depend on the cores; None if the job takes its
-    share."""
-    if job.workers is not None:
-        return job.workers
-    backend = job.config.backend
-    if backend.name == "serial":
-        return 1
-    return None if backend.workers is None else min(backend.workers, _most_workers(job))
-
-
-def _most_workers(job: PlannedJob) -> int:
-    """Return the number of workers that have something to do: one per block of copies and worker group."""
-    rollout = job.config.rollout
-    return len(_worker_groups(job)) * (rollout.copies // rollout.block)
-
-
-def _worker_groups(job: PlannedJob) -> list[tuple[int, int]]:
-    return replica_groups(job.spec.max_copies_per_process, len(job.seeds), job.config.rollout.block)
-
-
-def gpus_of(device: str, available: float) -> float:
-    """Return the GPUs that a training process requests from a cluster with `available` GPUs: one for `cuda`,
-    one for `auto` if the cluster has any, else none."""
-    return 1.0 if device.startswith("cuda") or (device == "auto" and available >= 1.0) else 0.0
-
-
-def uses_gpu(job: PlannedJob) -> bool:
-    """Return whether a job trains on a GPU."""
-    device = job.config.device
-    return device.startswith("cuda") or (device == "auto" and Path("/dev/nvidiactl").exists())
 
 
 def require_free_disk(root: Path, jobs: Sequence[PlannedJob], parallel: int) -> None:
-    """Raise HeadwayError if the store's folder cannot be created or written, or has too little free space for
-    `jobs`, of which `parallel` run at once."""
+    """Raise HeadwayError if the store's folder cannot be written or has too little free space for `jobs`.
+
+    The folder is created if missing; `parallel` jobs run at once.
+    """
     make_folder(root)
     if not os.access(root, os.W_OK | os.X_OK):
         raise HeadwayError(f"store.root: {root} cannot be written; set store.root to another folder")
@@ -315,7 +234,7 @@ def require_free_disk(root: Path, jobs: Sequence[PlannedJob], parallel: int) -> 
 
 
 def _replay_bytes(job: PlannedJob) -> int:
-    """Return the bytes of the replay buffers that a job keeps beside its checkpoints, at most at once."""
+    """Return an upper bound on the bytes of a job's stored replay buffers at any time."""
     experiment = job.experiment
     each = experiment.algo.replay_bytes(experiment.algo_config, job.spec, experiment.config.env_steps)
     return _CHECKPOINTS_AT_ONCE * len(job.seeds) * each

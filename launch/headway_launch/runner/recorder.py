@@ -128,7 +128,7 @@ class JobRecorder:
 
     def _record_checkpoint(self) -> None:
         """Record the newest checkpoint on disk, which a killed process may not have reported."""
-        # Every seed's checkpoint holds the whole stack, so the newest in any of the folders counts.
+        # Every seed's checkpoint contains the whole stack, so the newest in any of the folders counts.
         saved = max(latest_iteration(run.directory / CHECKPOINTS) or 0 for run in self.runs)
         for run in self.runs:
             if saved > run.record.durable_iteration:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from headway.config.experiment import ExperimentConfig
 from headway.events import Row
 from headway.store.run_folder import RunRecord, read_summary
+from headway.wording import counted
 from headway_launch.console.output import print_line
-from headway_launch.console.tables import Cell, print_table, without_empty
+from headway_launch.console.tables import Value, print_table, without_empty
 from headway_launch.runner.comparison import print_comparison
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ class SeedResult:
         }
 
     @property
-    def cells(self) -> tuple[Cell, ...]:
+    def row(self) -> tuple[Value, ...]:
         """The metrics as a row of the table."""
         return (
             self.seed,
@@ -163,12 +164,14 @@ def curve_metrics(run: "Run", mode: str) -> tuple[float | None, float | None]:
 def print_results(
     config: ExperimentConfig, results: Sequence[SeedResult], rules: Mapping[str, Sequence[Row]]
 ) -> None:
-    """Print the table of seeds, with mean and sample standard deviation over the finished ones, and the
-    comparison with the rules."""
+    """Print the table of seeds and the comparison with the rules.
+
+    The table ends with mean and sample standard deviation over the finished seeds.
+    """
     if not results:
         return
-    rows = [result.cells for result in results]
-    finished = [result.cells for result in results if result.status == "FINISHED"]
+    rows = [result.row for result in results]
+    finished = [result.row for result in results if result.status == "FINISHED"]
     if len(finished) > 1:
         rows += _summary_rows(finished)
     columns = _headings(_COLUMNS, _estimated(results), {config.evaluation.episodes})
@@ -188,7 +191,7 @@ def print_cells(
     `cells`: (label, number of planned seeds, results of the seeds that ended or were stopped). `episodes`:
     the distinct numbers of episodes per point of the evaluation curves.
     """
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[Value, ...]] = []
     for label, planned, results in cells:
         finished = [result for result in results if result.status == "FINISHED"]
         rewards = [result.final_reward for result in finished if result.final_reward is not None]
@@ -208,7 +211,6 @@ def print_cells(
 def _print_notes(results: Sequence[SeedResult]) -> None:
     """Print the definition of the final reward, and the reason why runs have no AUC."""
     from headway.stats import FEWEST_POINTS, FINAL_SHARE
-    from headway.stats.plots import counted
 
     if any(result.final_reward is not None for result in results):
         print_line(f"{_FINAL}: mean evaluation return over the last {FINAL_SHARE:.0%} of a run's steps")
@@ -221,9 +223,11 @@ def _print_notes(results: Sequence[SeedResult]) -> None:
 
 
 def _headings(columns: Sequence[str], estimated: bool, episodes: Collection[int]) -> tuple[str, ...]:
-    """Return the headings with remarks: whether energy is estimated, and the number of episodes per point of
-    the evaluation curve. The last evaluation, which other tables use, may have more."""
-    from headway.stats.plots import counted
+    """Return the headings with remarks: energy estimated or not, and episodes per point of the curve.
+
+    The last evaluation, which other tables use, may have more episodes than the points of the evaluation
+    curve.
+    """
 
     over = f"({counted(next(iter(episodes)), 'episode')})" if len(episodes) == 1 else "(episodes differ)"
     remarks = {_FINAL: over, _MEAN_FINAL: over, "kWh": "(estimated)" if estimated else ""}
@@ -231,8 +235,10 @@ def _headings(columns: Sequence[str], estimated: bool, episodes: Collection[int]
 
 
 def _mean_std(values: Sequence[float]) -> tuple[float | None, float | None]:
-    """Return the mean and the sample standard deviation; None for a value that is undefined: both without
-    values, the deviation with one."""
+    """Return mean and sample standard deviation; None where undefined.
+
+    Both are undefined without values, the deviation also with one value.
+    """
     from headway.stats import mean_std
 
     if not values:
@@ -251,8 +257,10 @@ def _estimated(results: Sequence[SeedResult]) -> bool:
 
 
 def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> list[list[Row]]:
-    """Return the last evaluation of each finished seed in the first mode: seeds x episodes, ordered by
-    episode seed."""
+    """Return the last evaluation of each finished seed in the first mode, seeds x episodes.
+
+    Episodes are ordered by episode seed.
+    """
     from headway.store.parquet_log import read_rows
 
     mode = config.evaluation.modes[0]
@@ -268,7 +276,7 @@ def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> 
     return [sorted(rows, key=lambda row: int(row["episode_seed"])) for rows in played]
 
 
-def _summary_rows(rows: Sequence[tuple[Cell, ...]]) -> list[tuple[Cell, ...]]:
+def _summary_rows(rows: Sequence[tuple[Value, ...]]) -> list[tuple[Value, ...]]:
     """Return the row of means and the row of standard deviations."""
     statistics = [
         _mean_std([float(cell) for row in rows if isinstance(cell := row[column], int | float)])

@@ -14,12 +14,14 @@ from headway.store import CHECKPOINTS, Status
 from headway.store.checkpoint import latest_iteration
 from headway.store.session import SessionStore
 from headway.training.loop import TrainingJob
+from headway.wording import counted
 from headway_launch.console.output import ignore_closed_pipe, own_name, print_line
 from headway_launch.console.progress import JobProgress
 from headway_launch.experiments.parameters import session_settings
 from headway_launch.runner.cell import Rules, SessionCell
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
-from headway_launch.runner.jobs import CellPlan, PlannedJob, require_free_disk, uses_gpu, workers_of
+from headway_launch.runner.cores import uses_gpu, workers_of
+from headway_launch.runner.jobs import CellPlan, PlannedJob, require_free_disk
 from headway_launch.runner.recorder import TRACEBACK, JobRecorder
 from headway_launch.runner.results import print_cells, print_results, seed_result
 from headway_launch.runner.scheduler import Scheduler
@@ -32,7 +34,7 @@ _MAX_LISTED_RUNS = 3
 _MAX_LISTED_FAILURES = 10
 _SHORTEST_MEASURED_S = 60.0
 """Training seconds from which the store's share is printed; in less, start-up and shutdown dominate."""
-STORE_SHARE = "the store:"
+STORE_SHARE = "storage took"
 """Prefix of the line that reports the store's share of the training time."""
 
 
@@ -47,13 +49,13 @@ class _Job:
 
     @property
     def account(self) -> str:
-        """Account of the job in the energy meter. Each restarted process, whose counters begin at 0, has
-        another."""
+        """Name of the job's account in the energy meter, a new one per restart: counters begin at 0 again."""
         return f"{id(self)} {len(self.lost_at)}"
 
 
 class Runner:
     """Trains the cells of one session with one store and one energy meter, jobs of all cells in parallel.
+
     Raises HeadwayError before anything starts if the store cannot be used.
 
     `plan_kept`: the study stores its plan, so runs that never start need no folder.
@@ -84,7 +86,7 @@ class Runner:
     def run(self) -> int:
         """Train, evaluate the rules and print the results; return the exit code."""
         began, self._own_cpu_s = time.monotonic(), -time.process_time()
-        session = Scheduler(
+        scheduler = Scheduler(
             [job.progress for job in self._jobs],
             self._shares.parallel,
             self._begin,
@@ -94,7 +96,7 @@ class Runner:
             self._should_restart,
         )
         try:
-            stopped = session.run()
+            stopped = scheduler.run()
             self._store_unstarted(stopped)
             played: dict[str, Rules] = {}
             rules_from = time.thread_time()
@@ -152,7 +154,7 @@ class Runner:
         if job.recording is None:
             return False
         runs = job.recording.runs
-        durable = min(latest_iteration(run.directory / CHECKPOINTS) or 0 for run in runs)
+        durable = max(latest_iteration(run.directory / CHECKPOINTS) or 0 for run in runs)
         if job.lost_at.count(durable) == _MAX_RESTARTS:
             return False
         job.recording.status = "KILLED"
@@ -210,7 +212,7 @@ class Runner:
     def _end_cells(self) -> None:
         metrics = _session_metrics(self._meter.stop()) if self._meter else {}
         for cell in self._cells:
-            # Cells without jobs are ended too: a killed session may have left them open in MLflow.
+            # Also cells without jobs: a killed session may have left them open in MLflow.
             statuses = [_status(job) for job in self._jobs if job.cell is cell]
             cell.finish(statuses, metrics if cell.touched else {})
 
@@ -254,7 +256,7 @@ class Runner:
                 if len(unfinished) <= _MAX_LISTED_RUNS and not self._plan_kept
                 else f"--study {study}"
             )
-            waiting = f"runs not started: {not_started}; " if not_started else ""
+            waiting = f"{counted(not_started, 'run')} not started; " if not_started else ""
             print_line(f"headway: {waiting}to continue: {own_name()} resume {named}{option}")
 
     def _print_store_share(self) -> None:
@@ -264,8 +266,8 @@ class Runner:
         if trained >= _SHORTEST_MEASURED_S:
             kept, own = sum(recording.store_s for recording in recordings), self._own_cpu_s
             print_line(
-                f"{STORE_SHARE} {(kept + own) / trained:.1%} of the training processes' {trained:,.0f} s "
-                f"(logs and checkpoints {kept:.1f} s, this process with MLflow and energy {own:.1f} CPU s)"
+                f"{STORE_SHARE} {(kept + own) / trained:.1%} of {trained:,.0f} s of training (logs and "
+                f"checkpoints {kept:.1f} s, MLflow and energy {own:.1f} CPU s)"
             )
 
     def _print_failures(self) -> None:
@@ -283,8 +285,7 @@ class Runner:
 
 
 def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False) -> int:
-    """Run cells of equal session settings together, the groups one after another; return the worst exit
-    code."""
+    """Run cells in groups of equal session settings, one group after another; return the worst exit code."""
     sessions: dict[str, list[CellPlan]] = {}
     for cell in cells:
         sessions.setdefault(str(session_settings(cell.experiment.config)), []).append(cell)

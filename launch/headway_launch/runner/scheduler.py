@@ -24,7 +24,7 @@ _SAME_REQUEST_S = 1.0
 
 
 class StopRequests:
-    """Context that counts Ctrl-C, SIGTERM and SIGHUP as stop requests instead of ending the process.
+    """Context manager that counts Ctrl-C, SIGTERM and SIGHUP as stop requests instead of ending the process.
 
     Signals within a second of a counted one belong to the same request. After the first request only Ctrl-C
     counts, because the effect of a second request is announced on the screen only.
@@ -68,8 +68,7 @@ class Training(Protocol):
 
     @property
     def lost(self) -> bool:
-        """Whether Ray lost the process, for example with its machine, so that it can restart from a
-        checkpoint."""
+        """Whether Ray lost the process, for example with its machine: it can restart from a checkpoint."""
         ...
 
     @property
@@ -108,8 +107,10 @@ class Training(Protocol):
 
 
 class Scheduler:
-    """Runs jobs, `parallel` at a time. `begin(index)` returns a job when its turn comes, `take(index, event)`
-    receives every event, and `tick` is called a few times per second. A failed job does not stop the others.
+    """Runs jobs, `parallel` at a time.
+
+    `begin(index)` returns a job when its turn comes, `take(index, event)` receives every event, and `tick` is
+    called a few times per second. A failed job does not stop the others.
     """
 
     def __init__(
@@ -135,8 +136,10 @@ class Scheduler:
         self._killed = False
 
     def run(self) -> bool:
-        """Run all jobs; return whether a stop was requested. Leaves no training process behind, also if it
-        raises."""
+        """Run all jobs; return whether a stop was requested.
+
+        Leaves no training process behind, also if it raises.
+        """
         try:
             with StopRequests() as requests, Progress(self._progress, self._parallel) as shown:
                 while self._running or (self._waiting and not requests.count):
@@ -196,7 +199,7 @@ class Scheduler:
         job = self._progress[index]
         unfinished = job.status in ("starting", "training")
         if unfinished and training.lost and not self._asked_to_stop and self._should_restart(index):
-            shown.note(f"headway: {job.name}: {reason}; it continues elsewhere from its last checkpoint")
+            shown.note(f"headway: {job.name}: {reason}; restarted from its last checkpoint, if any")
             job.status = "waiting"
             self._waiting.insert(0, index)
             return

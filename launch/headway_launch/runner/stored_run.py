@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import read_json
 from headway.store.run_folder import RunRecord, find_run
 from headway_launch.experiments.compose import Experiment, PreparedEnv, resolve
-from headway_launch.experiments.parameters import identity
+from headway_launch.experiments.parameters import identity, upgraded
 from headway_launch.runner.jobs import PlannedJob
 
 
@@ -24,15 +25,18 @@ class StoredRun:
     mapping: dict[str, Any]
     stack: tuple[int, ...]
     workers: int | None
-    """Rollout workers, each of which wrote its part of the checkpoint; None if the run's plan does not
-    say."""
+    """Number of rollout workers, each of which has a part in the checkpoint; None if the run's plan lacks
+    it."""
     block: int | None = None
-    """Environment copies whose actions are computed together, possibly fewer than were asked for; None if the
-    run's plan does not say."""
+    """Environment copies whose actions are computed together, possibly fewer than configured; None if the
+    run's plan lacks the number."""
+    scaled_actions: bool = True
+    """Whether policies act in the units of `EnvSpec.for_policies`; False for runs of earlier versions, whose
+    policies act in the environment's units."""
 
     @classmethod
     def find(cls, root: Path, run_id: str) -> "StoredRun":
-        """Return the run with identity `run_id`, which may be shortened to any part that only one run has.
+        """Return the run with identity `run_id`, or with an identity of which `run_id` is a unique part.
 
         Raises HeadwayError if there is no such run or its folder is incomplete.
         """
@@ -47,19 +51,21 @@ class StoredRun:
         plan = read_json(directory / "plan.json")
         stack = tuple(int(seed) for seed in plan["stack"])
         block = plan.get("rollout", {}).get("block")
-        return cls(directory, RunRecord.read(directory), mapping, stack, plan.get("workers"), block)
+        scaled = bool(plan.get("scaled_actions", False))
+        return cls(directory, RunRecord.read(directory), mapping, stack, plan.get("workers"), block, scaled)
 
     @property
     def configuration(self) -> str:
-        """The whole configuration except the seed, as JSON that compares equal for runs of one
-        configuration."""
+        """The configuration without the seed, as JSON that is equal for all runs of one configuration."""
         rest = {key: value for key, value in self.mapping.items() if key != "seed"}
         return json.dumps(rest, sort_keys=True, default=str)
 
     @property
     def identity(self) -> str:
-        """Key that is equal for two runs of a seed with the same learning curve; see
-        `headway_launch.experiments.parameters.identity`."""
+        """Key that is equal for two runs of a seed with the same learning curve.
+
+        See `headway_launch.experiments.parameters.identity`.
+        """
         return identity(self.mapping)
 
     @property
@@ -67,9 +73,13 @@ class StoredRun:
         """The experiment of the stored configuration. Raises HeadwayError if this version refuses it."""
         return resolve(self.mapping)
 
+    def policy_spec(self, environment: PreparedEnv) -> EnvSpec:
+        """Return the environment's specification, with actions in the units of this run's policies."""
+        return environment.spec.for_policies if self.scaled_actions else environment.spec
+
 
 def read_configuration(directory: Path) -> dict[str, Any]:
-    """Return the configuration in a run's folder. Raises HeadwayError if it cannot be read."""
+    """Return the configuration in a run's folder, `upgraded`. Raises HeadwayError if it cannot be read."""
     import yaml
 
     path = directory / "config.yaml"
@@ -82,7 +92,7 @@ def read_configuration(directory: Path) -> dict[str, Any]:
         raise HeadwayError(f"{path} cannot be read ({reason}), so the run cannot be used") from error
     if not isinstance(mapping, dict):
         raise HeadwayError(f"{path} holds no configuration, so the run cannot be used")
-    return mapping
+    return upgraded(mapping)
 
 
 def jobs_to_resume(
@@ -131,7 +141,7 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
                 config,
                 environment.prepared,
                 environment.training,
-                environment.spec,
+                planned.policy_spec(environment),
                 stack,
                 run_ids,
                 iteration,

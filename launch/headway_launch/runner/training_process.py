@@ -33,7 +33,7 @@ class TrainingProcess:
     """Always false: the session is on the same machine. See `headway_launch.runner.scheduler.Training`."""
 
     def __init__(self, job: "TrainingJob", work: Work | None = None) -> None:
-        """Start the process; `work` (picklable) replaces the training of `job`, which then only names it."""
+        """Start the process; `work` (picklable) replaces training, and `job` then only names the process."""
         context = get_context("spawn")
         self._events, child_end = context.Pipe()
         name = f"headway training {', '.join(str(seed) for seed in job.seeds)}"

@@ -1,11 +1,16 @@
-"""Compilation of the kernels, once, before any process starts."""
+"""Compilation of the kernels, once, before any process starts.
+
+`python -m headway_launch.runner.warm_up` (`make setup`) compiles those of all environments and algorithms.
+"""
 
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
+from itertools import chain
 from typing import TYPE_CHECKING
 
+from headway.registry import algo_entries, env_entries
 from headway_launch.console.output import print_line
 
 if TYPE_CHECKING:
@@ -16,22 +21,31 @@ _LINE = "compiling kernels, once"
 
 
 def compile_kernels(env: "EnvEntry") -> None:
-    """Call `warm` in the preloaded modules of an environment that define it, so that training processes and
-    workers load the kernels from the cache instead of compiling them all at once."""
+    """Compile an environment's kernels, by calling `warm` in its preloaded modules that define it.
+
+    Training processes and workers then load them from the cache instead of all compiling at the same time.
+    """
     _warm(env.preload)
 
 
 def compile_kernels_of(experiments: "Iterable[Experiment]") -> None:
     """Compile the kernels of the environments and algorithms of `experiments`."""
     entries = [(experiment.env.preload, experiment.algo.kernels) for experiment in experiments]
-    _warm(dict.fromkeys(name for of_env, of_algo in entries for name in (*of_env, *of_algo)))
+    _warm(name for of_env, of_algo in entries for name in (*of_env, *of_algo))
+
+
+def compile_all_kernels() -> None:
+    """Compile the kernels of all registered environments and algorithms."""
+    of_envs = (entry.preload for entry in env_entries().values())
+    of_algos = (entry.kernels for entry in algo_entries().values())
+    _warm(chain.from_iterable((*of_envs, *of_algos)))
 
 
 def _warm(names: Iterable[str]) -> None:
-    modules = [import_module(name) for name in names]
-    for module in modules:
-        if hasattr(module, "warm"):
-            with _compilation_shown():
+    modules = [import_module(name) for name in dict.fromkeys(names)]
+    with _compilation_shown():
+        for module in modules:
+            if hasattr(module, "warm"):
                 module.warm()
 
 
@@ -56,3 +70,7 @@ def _compilation_shown() -> Iterator[None]:
 
     with event.install_listener("numba:compile", FirstCompilation()):
         yield
+
+
+if __name__ == "__main__":
+    compile_all_kernels()

@@ -4,18 +4,20 @@ from collections.abc import Sequence
 from heapq import heapify, heapreplace
 
 from headway.rollout.workers.usage import usable_cores
-from headway.stats.plots import counted
+from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.console.progress import duration
-from headway_launch.console.tables import Cell, print_table, without_empty
+from headway_launch.console.tables import Value, print_table, without_empty
 from headway_launch.runner.calibration import Expectation, Pace, calibrate
-from headway_launch.runner.jobs import CellPlan, share_cores
+from headway_launch.runner.cores import share_cores
+from headway_launch.runner.jobs import CellPlan
 from headway_launch.studies.plan import StudyProgress
 
 
 def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan]) -> int:
-    """Print the runs of a session and the estimated cost of training them; return the exit code. Nothing is
-    written to the store.
+    """Print the runs of a session and the estimated cost of training them; return the exit code.
+
+    Nothing is written to the store.
 
     Raises HeadwayError if a cell cannot be trained.
     """
@@ -23,18 +25,18 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
     config = cells[0].experiment.config
     named = [cell.label or cell.experiment.algo_name for cell in cells]
     kinds = [
-        (name, *kind)
+        (name, _iteration(cell), *kind)
         for name, each, cell in zip(named, progress, cells, strict=True)
         for kind in _seeds_by_action(each, cell)
     ]
-    print_table(("cell", "seeds", "runs", "action"), kinds, f"study {config.study}")
+    print_table(("cell", "iteration", "seeds", "runs", "action"), kinds, f"study {config.study}")
     if not planned:
         print_line("headway: nothing is left to train")
         return 0
     print(flush=True)  # show the list during the calibration
     shares = share_cores(config.backend, planned, usable_cores())
     paces, modes = calibrate([cell for cell in cells if cell.jobs], shares)
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[Value, ...]] = []
     expected: list[Expectation] = []
     for name, cell in zip(named, cells, strict=True):
         if cell.jobs:
@@ -48,7 +50,7 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
                 )
             )
             expected += estimates
-    columns = ("cell", "trainings", "s each", "total CPU s", "total kWh", "total kg CO2eq")
+    columns = ("cell", "jobs", "s per job", "total CPU s", "total kWh", "total kg CO2eq")
     known, cells_known = without_empty(columns, rows, columns[-1:])
     print_table(known, cells_known, spare=known[:3:-1])
     _print_totals(expected, shares.parallel, list(paces.values()), modes, config.backend.name)
@@ -56,8 +58,8 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
     if runs != len(planned):
         most = max(len(job.seeds) for job in planned)
         print(
-            f"{counted(runs, 'run')} in {counted(len(planned), 'training')}: each trains a stack of up to "
-            f"{most} seeds (backend.stack), stored as one run per seed."
+            f"{counted(runs, 'run')} in {counted(len(planned), 'job')}: a job trains up to {most} seeds at "
+            "once (backend.stack)."
         )
     return 0
 
@@ -80,6 +82,11 @@ def spans(numbers: Sequence[int]) -> str:
         else:
             parts.append([number])
     return ",".join(f"{part[0]}..{part[-1]}" if len(part) > 2 else ",".join(map(str, part)) for part in parts)
+
+
+def _iteration(cell: CellPlan) -> str:
+    rollout = cell.experiment.config.rollout
+    return f"{rollout.copies} x {rollout.steps} steps"
 
 
 def _seeds_by_action(progress: StudyProgress, cell: CellPlan) -> list[tuple[str, int, str]]:
@@ -110,7 +117,7 @@ def _print_totals(
     energy = ", energy not measured" if kwh is None else f", {kwh:.3g} kWh"
     energy += "" if kg is None else f", {kg:.3g} kg CO2eq"
     print(
-        f"\n{counted(len(expected), 'training')}, {parallel} in parallel: about {duration(wall)}, "
+        f"\n{counted(len(expected), 'job')}, {parallel} in parallel: about {duration(wall)}, "
         f"{cpu_s:,.0f} CPU s{energy}"
     )
     fewest = min(pace.iterations for pace in paces)

@@ -7,12 +7,13 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import make_folder, read_json, write_json
 from headway.store.cell_names import CellChoice, names_among
 from headway.store.run_folder import cell_name, plans_folder
 from headway_launch.experiments.compose import Experiment, PreparedEnv, resolve
-from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
+from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity, upgraded
 from headway_launch.runner.jobs import CellPlan, PlannedJob, new_jobs
 from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
 
@@ -28,9 +29,9 @@ class StudyProgress:
     finished: tuple[StoredRun, ...] = ()
     """Newest finished run of each seed that has one."""
     unfinished: tuple[StoredRun, ...] = ()
-    """For each other seed, the run with most iterations, if it was killed or failed."""
+    """For each seed without a finished run: its run with the most iterations, if it was killed or failed."""
     elsewhere: tuple[StoredRun, ...] = ()
-    """For each other seed, a run that another session is training."""
+    """For each seed without a finished run: a run that another session is training."""
     new: tuple[int, ...] = ()
     """Seeds without a run."""
     run_ids: frozenset[str] = frozenset()
@@ -73,8 +74,11 @@ class StudyProgress:
         return cls(experiment, new=experiment.config.seed)
 
     def plan(self, known: dict[str, PreparedEnv], label: str = "") -> CellPlan:
-        """Return the remaining work. Raises HeadwayError if a job cannot run. `known`: environments prepared
-        before, as in `Experiment.prepare`."""
+        """Return the remaining work.
+
+        Raises HeadwayError if a job cannot run. `known`: environments prepared before, as in
+        `Experiment.prepare`.
+        """
         jobs: list[PlannedJob] = []
         self._require_whole_stacks()
         for batch in jobs_to_resume(
@@ -82,8 +86,18 @@ class StudyProgress:
         ):
             jobs += batch
         if self.new:
+            self._require_same_units(self.experiment.prepare(known).spec)
             jobs += new_jobs(self.experiment, self.new, known)
         return CellPlan(self.experiment, tuple(jobs), tuple(run.directory for run in self.finished), label)
+
+    def _require_same_units(self, spec: EnvSpec) -> None:
+        """Raise HeadwayError if seeds to train would act in other units than seeds of an earlier version."""
+        earlier = [run for run in (*self.finished, *self.unfinished) if not run.scaled_actions]
+        if earlier and spec.for_policies != spec:
+            raise HeadwayError(
+                f"study {self.experiment.config.study} holds seeds of an earlier version, whose policies act "
+                f"in the units of {spec.name}, not in [-1, 1]; set study to another name to train all anew"
+            )
 
     def _require_whole_stacks(self) -> None:
         there = {run.record.seed for run in self.unfinished}
@@ -104,7 +118,7 @@ def _keep_stacks_whole(finished: list[StoredRun], unfinished: list[StoredRun], n
             new += [run.record.seed for run in unfinished if run.stack == stack]
             unfinished[:] = [run for run in unfinished if run.stack != stack]
             continue
-        # One killed while it ended a stack leaves finished seeds among the others: resume these too.
+        # A session killed while it ended a stack leaves some of its seeds finished: resume these too.
         ended = [run for run in finished if run.record.seed in stack and run.stack == stack]
         unfinished += ended
         finished[:] = [run for run in finished if run not in ended]
@@ -144,7 +158,7 @@ def cell_labels(experiments: Sequence[Experiment]) -> list[str]:
 
 
 def distinct(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Merge experiments that differ only in their seeds; the last one's other settings hold."""
+    """Merge experiments of equal `identity` and combine their seeds; other settings are the last one's."""
     merged: dict[str, Experiment] = {}
     for experiment in experiments:
         key = identity(full_mapping(experiment, ()))
@@ -157,7 +171,9 @@ def distinct(experiments: Sequence[Experiment]) -> list[Experiment]:
 
 def keep_plan(root: Path, study: str, experiments: Sequence[Experiment]) -> None:
     """Store the plan of a sweep durably, so that `headway resume --study` knows which runs have not started.
-    The same plan overwrites its file. Raises HeadwayError if it cannot be written."""
+
+    The same plan overwrites its file. Raises HeadwayError if it cannot be written.
+    """
     cells = [
         {"config": full_mapping(experiment, ()), "seeds": list(experiment.config.seed)}
         for experiment in experiments
@@ -176,7 +192,7 @@ def kept_plans(root: Path, study: str) -> list[Experiment]:
     experiments = []
     for path in sorted(plans_folder(root, study).glob("*.json"), key=lambda path: path.stat().st_mtime_ns):
         for cell in _cells(path):
-            mapping = {**cell["config"], "seed": cell["seeds"]}
+            mapping = {**upgraded(cell["config"]), "seed": cell["seeds"]}
             # The store may have been moved since the plan was written.
             mapping["store"] = {**mapping.get("store", {}), "root": str(root)}
             experiments.append(resolve(mapping))
@@ -195,8 +211,8 @@ def _cells(path: Path) -> list[Mapping[str, Any]]:
 def _with_session_settings(run: StoredRun, experiment: Experiment) -> StoredRun:
     """Return a stored run with the store, energy and parallelism settings of this session.
 
-    The run keeps its backend, to which its checkpoints belong; only processes and Ray workers can resume
-    each other's.
+    The run keeps its backend, to which its checkpoints belong, unless both backends are `process` or `ray`,
+    which can resume each other's checkpoints.
     """
     mapping = full_mapping(experiment, ())
     requested, stored = mapping["backend"], run.mapping["backend"]

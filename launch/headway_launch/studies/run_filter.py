@@ -36,8 +36,10 @@ class Condition:
     value: str
 
     def holds(self, row: "RunRow") -> bool:
-        """Return whether a run meets the condition; false if its value is unknown. Raises HeadwayError if
-        text is ordered against a number."""
+        """Return whether a run meets the condition; false if its value is unknown.
+
+        Raises HeadwayError if text is ordered against a number.
+        """
         known = value_of(row, self.field)
         if known is None:
             return False
@@ -55,7 +57,7 @@ class Condition:
 
 
 def parse_conditions(texts: Sequence[str]) -> list[Condition]:
-    """Return the conditions of `--where`, to be met together. Raises HeadwayError for an invalid one."""
+    """Return the conditions of `--where`, all of which must hold. Raises HeadwayError for an invalid one."""
     conditions = []
     for text in (part for whole in texts for part in _AND.split(whole)):
         if _OR.search(text):
@@ -81,8 +83,10 @@ def require_known(rows: Sequence["RunRow"], conditions: Sequence[Condition], key
 
 
 def in_order(rows: Sequence["RunRow"], keys: str) -> list["RunRow"]:
-    """Return the runs sorted by comma-separated fields, each optionally followed by ` desc`; runs with an
-    unknown value come last. Raises HeadwayError for an unknown field."""
+    """Return the runs sorted by comma-separated fields, each optionally followed by ` desc`.
+
+    Runs with an unknown value come last. Raises HeadwayError for an unknown field.
+    """
     ordered = list(rows)
     for key in reversed([key.strip() for key in keys.split(",") if key.strip()]):
         field, _, direction = key.partition(" ")

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 
 def finished_runs(root: Path, study: str) -> list["RunRow"]:
-    """Return the newest finished run of each cell and seed of a study, oldest first. Prints how many runs are
-    left out.
+    """Return the newest finished run of each cell and seed of a study, oldest first.
+
+    Prints how many runs are left out.
 
     Raises HeadwayError if there is no such study or no run in it has finished.
     """
@@ -71,7 +72,7 @@ def curves_of(runs: "RunSelection", metric: str) -> "pd.DataFrame":
     have = set(curves["run_id"])
     for row in runs.rows:
         if row.run_id not in have:
-            # Suggest only metrics that would be accepted: of the same kind and in all runs.
+            # Suggest only metrics of the same kind that all runs have.
             kind = "evaluation_" if metric.startswith("evaluation_") else ""
             in_all = runs.curves().groupby("run_id").count().gt(0).all()
             known = [name for name in in_all[in_all].index if "/" in name and name.startswith(kind)]
@@ -96,13 +97,13 @@ def curve_points(runs: "RunSelection", metric: str) -> "pd.DataFrame":
 def rules_beside(runs: "RunSelection", metric: str) -> dict[str, dict[str, float]]:
     """Return the mean of an evaluation metric per task and rule, over the episodes of the curves' points.
 
-    Empty for training metrics, which are of other episodes and possibly of another reward.
+    Empty for training metrics, which belong to other episodes and possibly to another reward.
     """
     group, _, column = metric.rpartition("/")
     played = runs.rules()
     if not group.startswith("evaluation_") or column not in played:
         return {}
-    # The rules may have played more episodes, as the last evaluation has.
+    # The rules may have played more episodes: those of the last evaluation.
     episodes = {
         runs.names[row.cell].task: int(configuration(row.directory)["evaluation"]["episodes"])
         for row in runs.rows

@@ -8,6 +8,7 @@ from platform import node
 from headway.contracts.errors import HeadwayError
 from headway.store import RunRecord
 from headway.store.index import RunIndex
+from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment
 from headway_launch.runner.jobs import CellPlan
@@ -27,8 +28,11 @@ class StudySession:
     def plan(
         cls, experiments: Sequence[Experiment], labels: Sequence[str] | None = None, fresh: bool = False
     ) -> "StudySession":
-        """Return the session that completes `experiments`. `labels`: names of the cells; None: `cell_labels`.
-        `fresh`: ignore stored runs. Raises HeadwayError if a job cannot run."""
+        """Return the session that completes `experiments`.
+
+        `labels`: names of the cells; None: `cell_labels`. `fresh`: ignore stored runs. Raises HeadwayError if
+        a job cannot run.
+        """
         config = experiments[0].config
         root = Path(config.store.root)
         index = RunIndex(root)
@@ -63,8 +67,6 @@ def print_progress(study: str, progress: Sequence[StudyProgress]) -> None:
         "to train": sum(len(each.new) for each in progress),
     }
     if any(counts[kind] for kind in list(counts)[:3]):
-        from headway.stats.plots import counted
-
         parts = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
         print_line(f"headway: {counted(sum(counts.values()), 'run')} of study {study}: {parts}")
 
@@ -76,17 +78,18 @@ def held_elsewhere(progress: Sequence[StudyProgress]) -> list[Path]:
 
 def require_all_ended(study: str, left: Sequence[Path]) -> None:
     """Raise HeadwayError, with what to do, if runs in the folders `left` to other sessions have not finished.
-    A killed session on another host cannot be recognised here."""
-    from headway.stats.plots import counted
+
+    A killed session on another host cannot be recognised here.
+    """
 
     records = [record for record in map(RunRecord.read, left) if record.settled_status != "FINISHED"]
     if not records:
         return
     held = {record.session for record in records if record.settled_status == "RUNNING"}
     holders = [f"process {session.pid} on {session.host}" for session in sorted(held, key=str)]
-    line = f"{counted(len(records), 'run')} of study {study}, left to other sessions: not finished"
-    line += f" (held by {', '.join(holders)})" if holders else ""
-    line += "; repeat this command when these sessions have ended"
+    line = f"{counted(len(records), 'run')} of study {study} not finished, in other sessions"
+    line += f" ({', '.join(holders)})" if holders else ""
+    line += "; repeat this command when these have ended"
     if any(session.host != node() for session in held):
         line += '; if one was killed, repeat it on that host or set "status": "KILLED" in its runs\' run.json'
     raise HeadwayError(line)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from headway.adapters.recording import RandomPlay, Recording, assert_same, record
 from headway.contracts import BatchedEnv, HeadwayError
+from headway.contracts.spaces import allows_action
 from headway.store.checkpoint import load_latest, save_checkpoint
 
 Make = Callable[[int], BatchedEnv]
@@ -33,7 +34,7 @@ COPIES = 3
 FIRST_SEED = 5
 """Seed of the first copy of a recording."""
 MAX_STEPS = 1500
-"""Default length of a recording. It is shorter if every copy has ended two episodes before."""
+"""Default length of a recording in steps; it ends earlier once every copy has ended two episodes."""
 
 
 def seeds_from(first: int, count: int) -> NDArray[np.uint64]:
@@ -81,8 +82,7 @@ def check_alive(make: Make, recording: Recording) -> None:
 
 
 def check_ends(make: Make, recording: Recording) -> None:
-    """Check that the end of an episode ends every agent's stream, by termination or truncation, never
-    both."""
+    """Check that the end of an episode either terminates or truncates every agent's stream."""
     track, ended = recording.trajectory, recording.episode_ended
     assert not (track.terminated & track.truncated).any(), "terminated and truncated are both set"
     over = track.terminated | track.truncated
@@ -96,12 +96,13 @@ def check_masks(make: Make, recording: Recording) -> None:
     """Check that every live agent has an allowed action."""
     track = recording.trajectory
     if recording.spec.has_action_mask:
-        assert track.action_masks[track.alive].any(axis=-1).all(), "a live agent has no allowed action"
+        assert allows_action(recording.spec.action_space, track.action_masks)[track.alive].all(), (
+            "a live agent has no allowed action"
+        )
 
 
 def check_shared_reward(make: Make, recording: Recording) -> None:
-    """Check that a reward shared by all agents or by a group is in every slot of them, absent agents'
-    included."""
+    """Check that a reward shared by all agents or a group is in all their slots, absent agents' included."""
     rewards, spec = recording.trajectory.rewards, recording.spec
     if spec.shared_reward:
         assert (rewards == rewards[..., :1]).all(), "shared_reward is true, but rewards differ"
@@ -114,8 +115,7 @@ def check_shared_reward(make: Make, recording: Recording) -> None:
 
 
 def check_determinism(make: Make, recording: Recording) -> None:
-    """Check that equal seeds and actions give equal results, in a new environment and after `reset` of a used
-    one."""
+    """Check that equal seeds and actions give equal results, in a new environment and after `reset`."""
     copies = recording.copies
     env, seeds = make(copies), seeds_from(FIRST_SEED, copies)
     others = seeds_from(FIRST_SEED + 100, copies)
@@ -125,7 +125,7 @@ def check_determinism(make: Make, recording: Recording) -> None:
 
 
 def check_copies(make: Make, recording: Recording) -> None:
-    """Check that a copy does not depend on the copies beside it, in later episodes either."""
+    """Check that a copy does not depend on the other copies, in its first and in later episodes."""
     for copy in range(recording.copies):
         alone = play(make, copies=1, first_seed=FIRST_SEED + copy)
         assert_same(alone, recording.of_copy(copy, steps=alone.steps))

@@ -1,4 +1,4 @@
-"""Which modules a configuration may name: those of installed packages that depend on PettingZoo.
+"""Check of module names in configurations: only installed packages that depend on PettingZoo are imported.
 
 Configurations are shared between people, and importing a Python object runs its code, so configurations name
 no Python objects. Module paths of environments are the exception, kept narrow: nothing is imported unless the
@@ -73,7 +73,7 @@ def _provides(distribution: importlib.metadata.Distribution, package: str, origi
     """Return whether a distribution contains the package; `origin` is the package's file."""
     if any(file.parts[0] in (package, f"{package}.py") for file in distribution.files or ()):
         return True
-    # Editable: its files are not listed, its folder is.
+    # An editable installation lists its folder, not its files.
     direct = json.loads(distribution.read_text("direct_url.json") or "{}")
     if not direct.get("dir_info", {}).get("editable"):
         return False

@@ -8,6 +8,7 @@ function.
 import importlib
 import os
 import re
+import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
@@ -15,11 +16,14 @@ from functools import partial
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from headway.adapters.installed import require_environment_module
 from headway.adapters.parallel_entry import NO_OPTIONS, AdapterOptions
 from headway.config.signatures import argument_record, as_tuples, takes_any_arguments, untyped_record
-from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError
+from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, RandomRule
 
+_PROBE_STEPS, _PROBE_SECONDS = 100, 2.0
 _NUMBERED = re.compile(r"(.+?)_?\d+")
 
 
@@ -33,6 +37,8 @@ class ModuleEnv:
     """Arguments that differ from the function's own defaults."""
     options: AdapterOptions
     """Adapter options."""
+    notices: tuple[str, ...] = ()
+    """Lines for the user."""
 
     def make(self) -> Any:  # noqa: ANN401 - PettingZoo comes without types
         """Return a new ParallelEnv. Raises HeadwayError if the module or the arguments cannot be used."""
@@ -55,9 +61,9 @@ def module_entry(
 ) -> EnvEntry:
     """Return the entry of the environment in a module.
 
-    `arguments` are the keys given, all that is known of a function that takes any keys. An agent's group is
-    its name without the number. Raises HeadwayError if the module may not be named, cannot be imported, or
-    defines no environment.
+    `arguments` are the keys that the user sets; they become the config's keys if the environment's function
+    accepts any keyword. An agent's group is its name without the number. Raises HeadwayError if the module is
+    not allowed, cannot be imported, or defines no environment.
     """
     source = _signature_source(_imported(module), module)
     record = (
@@ -83,8 +89,41 @@ def _prepare(module: str, options: AdapterOptions, config: Any) -> ModuleEnv:  #
     prepared = ModuleEnv(module, _non_default(config), options)
     env = prepared.make()
     groups = _groups(getattr(env, "possible_agents", ()))
+    notices: tuple[str, ...] = ()
+    if options.shared_reward is None and _pays_all_alike(module, env, options):
+        notices = (
+            f"all agents of {module} got equal rewards in a few steps of random play: if they always do, set "
+            "env.shared_reward=true, so that a central critic learns the team's return (false: no notice)",
+        )
     env.close()
-    return replace(prepared, options=replace(options, groups=groups))
+    return replace(prepared, options=replace(options, groups=groups), notices=notices)
+
+
+def _pays_all_alike(module: str, env: Any, options: AdapterOptions) -> bool:  # noqa: ANN401 - see ModuleEnv.make
+    """Return whether all live agents' rewards were equal, and not always 0, at each step of random play.
+
+    Plays _PROBE_STEPS steps, or fewer if they take longer than _PROBE_SECONDS. False for an environment of
+    one agent, and for one that needs wrappers before it can be played.
+    """
+    options, rule = replace(options, agents_come_and_go=True), RandomRule()
+    deadline, paid = time.monotonic() + _PROBE_SECONDS, False
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            batch = options.adapt(lambda: env, 1, module)
+            observed = batch.reset(np.zeros(1, np.uint64))
+            for _ in range(_PROBE_STEPS if batch.spec.num_agents > 1 else 0):
+                alive = observed.alive[0].copy()
+                result, observed = batch.step(rule.act(batch, observed))
+                rewards = result.rewards[0, alive]
+                if (rewards != rewards[:1]).any():
+                    return False
+                paid |= len(rewards) > 1 and bool(rewards[0] != 0)
+                if time.monotonic() > deadline:
+                    break
+    except Exception:  # the environment's own code, or a space that a wrapper has yet to change
+        return False
+    return paid
 
 
 def _make_parallel(module: str, options: AdapterOptions, given: Any) -> Any:  # noqa: ANN401 - config or prepared

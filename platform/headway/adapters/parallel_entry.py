@@ -14,12 +14,12 @@ from headway.contracts import RANDOM, BatchedEnv, EnvEntry, RuleEntry
 class AdapterOptions:
     """Facts about an environment that PettingZoo has no place for: the arguments of `ParallelEnvBatch`."""
 
-    shared_reward: bool = False
-    """All agents get the same reward at every step."""
+    shared_reward: bool | None = None
+    """All agents get the same reward at every step; None: no, with a notice if rewards look shared."""
     groups: tuple[str, ...] = ()
     """Group of each agent; empty: all in one."""
     agents_come_and_go: bool | None = None
-    """Agents may be absent before the episode ends; None: what metadata and infos say."""
+    """Agents may be absent before the episode ends; None: as stated by metadata and infos."""
     metrics: tuple[str, ...] | None = None
     """Names of the episode metrics; None: those in the environment's metadata."""
     max_copies_per_process: int | None = None
@@ -31,7 +31,7 @@ class AdapterOptions:
             make_parallel_env,
             copies,
             name,
-            shared_reward=self.shared_reward,
+            shared_reward=bool(self.shared_reward),
             groups=self.groups,
             agents_come_and_go=self.agents_come_and_go,
             metrics=self.metrics,

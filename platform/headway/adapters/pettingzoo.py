@@ -4,7 +4,7 @@ Facts that PettingZoo has no place for are read from each agent's info, where pr
 
 - `alive` (bool): the agent exists now; default: it is in `env.agents`
 - `acting` (bool): the action just given was used; default: the agent was alive
-- `action_mask` (bool, (A,)): actions allowed now
+- `action_mask` (bool, (A,)): actions allowed now; for MultiDiscrete the masks of its choices, concatenated
 - `slot_ended` (`terminated` or `truncated`): for agents that are slots, the slot's agent is gone and this
   step's observation is its last; another agent may take the slot later
 - `episode_metrics` (name -> number): metrics of the episode that just ended, in any agent's info
@@ -30,6 +30,7 @@ from headway.contracts import (
     StepResult,
     child_seeds,
 )
+from headway.contracts.spaces import allows_action
 
 Infos = Mapping[str, Mapping[str, Any]]
 
@@ -68,7 +69,7 @@ class ParallelEnvBatch:
 
     `possible_agents` are the N slots. An agent that is terminated or truncated is not alive until the next
     reset. A copy whose `agents` is empty has ended its episode and is reset with the seed
-    `episode_seed(seeds[copy], episode)`. When an episode ends, agents that were away end like the episode
+    `episode_seed(seeds[copy], episode)`. When an episode ends, absent agents are marked like the episode
     itself, with their last observation; agents that had ended before are marked as terminated again. If the
     environment sets both flags, the agent is terminated. With `shared_reward`, slots of absent agents get the
     team's reward.
@@ -92,7 +93,7 @@ class ParallelEnvBatch:
         metrics: Sequence[str] | None = None,
         max_copies_per_process: int | None = None,
     ) -> None:
-        """Create the copies; `agents_come_and_go` and `metrics` default to what metadata and infos say."""
+        """Create the copies; metadata and infos decide `agents_come_and_go` and `metrics` if None."""
         if copies < 1:
             raise HeadwayError(f"environment '{name}' needs at least 1 copy, not {copies}")
         self._envs: list[ParallelEnv] = [make_parallel_env() for _ in range(copies)]
@@ -138,7 +139,7 @@ class ParallelEnvBatch:
         self._episodes = [0] * copies
         self._steps = 0
         self._live_agents: list[list[str] | None] = [None] * copies
-        """Agents that the environment wants actions of; None: all, in order."""
+        """Agents that the environment needs actions for; None: all, in order."""
         self._ended = np.zeros((copies, n), dtype=np.bool_)
         """Agents whose stream has ended in this episode."""
         masks = np.ones((copies, n, _num_actions(spec)), dtype=np.bool_) if spec.has_action_mask else None
@@ -270,7 +271,7 @@ class ParallelEnvBatch:
             ) from error
 
     def _slot_rewards(self, rewards: Mapping[str, float], live: Sequence[str] | None) -> list[float]:
-        """Return the reward of each slot (N,); `live` are the agents that were to act, None: all."""
+        """Return the reward of each slot (N,); `live` are the agents whose actions were due, None: all."""
         agents = self._spec.agents
         if not self._spec.shared_reward:
             return [rewards.get(agent, 0.0) for agent in agents]
@@ -388,7 +389,9 @@ class ParallelEnvBatch:
                 f"alive at step {self._steps}, before the episode's end; set env.agents_come_and_go=true, or "
                 "keep it alive with the wrapper black_death_v3"
             )
-        if masks is not None and (stuck := np.argwhere(alive & ~masks.any(axis=-1))).size:
+        if masks is None:
+            return
+        if (stuck := np.argwhere(alive & ~allows_action(self._spec.action_space, masks))).size:
             copy, agent = stuck[0]
             raise HeadwayError(
                 f"environment '{self._spec.name}' allows agent '{self._spec.agents[agent]}' of copy {copy} "

@@ -17,6 +17,7 @@ from headway.contracts import (
     TrajectoryLayout,
     generator,
 )
+from headway.contracts.random_rule import random_allowed
 from headway.rollout.nan_check import check_finite
 
 _OBSERVED = ("observations", "states", "alive", "action_masks")
@@ -25,7 +26,7 @@ _RESULTS = ("rewards", "terminated", "truncated", "acting", "final_observations"
 
 @dataclass(frozen=True)
 class Recording:
-    """T steps of random play: a trajectory, with the results that a trajectory leaves out."""
+    """T steps of random play: a trajectory, the ends of episodes and their metrics."""
 
     spec: EnvSpec
     """Environment that was played."""
@@ -108,8 +109,7 @@ def record(
 
 
 def assert_same(one: Recording, other: Recording) -> None:
-    """Raise AssertionError unless both recordings are equal to the last bit in every value that the contract
-    defines."""
+    """Raise AssertionError unless both recordings agree bit for bit where the contract defines values."""
     assert one.steps == other.steps, f"{one.steps} steps, not {other.steps}"
     mine, theirs = one.trajectory, other.trajectory
     for name in ("states", "alive", "rewards", "terminated", "truncated", "acting"):
@@ -139,12 +139,8 @@ def _between(trajectory: Trajectory, spec: EnvSpec, first: int, last: int) -> Tr
 def _draw(draw: np.random.Generator, spec: EnvSpec, mask: NDArray[np.bool_] | None) -> NDArray[Any]:
     n = spec.num_agents
     match spec.action_space:
-        case Discrete(n=choices):
-            score = draw.random((n, choices))
-            actions: NDArray[Any] = (score if mask is None else np.where(mask, score, -1)).argmax(axis=-1)
-            return actions
-        case MultiDiscrete(nvec=nvec):
-            return draw.integers(0, nvec, (n, len(nvec)))
+        case Discrete() | MultiDiscrete() as space:
+            return random_allowed(space, draw, (n,), mask)
         case Box(low=low, high=high):
             bounds = np.clip(low, -10, 10), np.clip(high, -10, 10)
             return draw.uniform(*bounds, (n, len(low))).astype(np.float32)

@@ -44,7 +44,8 @@ class EnvConfig:
     stack_size: 4}, clip_reward_v0]`. Wrappers that only change rewards are used in training only."""
     shared_reward: bool | None = None
     """For PettingZoo environments by module path: all agents get the same reward at every step, so that a
-    team's critic reads one. Checked against the rewards paid. null: no."""
+    team's critic reads one. Checked against the rewards paid. null: no, with a notice if all rewards are
+    equal in a few steps of random play before training; only the user can know whether they always are."""
     agents_come_and_go: bool | None = None
     """For PettingZoo environments by module path: agents may leave before the episode ends. null: what the
     environment's metadata or infos say, else no."""
@@ -58,11 +59,14 @@ class EnvConfig:
 
 @dataclass(frozen=True)
 class RolloutConfig:
-    """How experience is collected. These values are part of a run's plan: they decide its random draws."""
+    """How experience is collected. These values are part of a run's plan: they decide its random draws.
+
+    Algorithms may have different defaults, which `headway list algos NAME` shows.
+    """
 
     copies: int = 8
     """E: environment copies per seed."""
-    steps: int = 512
+    steps: int = 128
     """T: steps of each copy per iteration. An iteration is copies x steps environment steps."""
     block: int = 4
     """Copies whose actions are computed together; must divide `copies`. Worker processes get whole blocks.
@@ -108,8 +112,8 @@ class BackendConfig:
     assigns the cores itself."""
     learners: Literal["here", "cluster"] | None = None
     """For `ray`: `here`: runs train on this machine, with workers on the cluster; `cluster`: each run is
-    placed on the cluster as a whole, with its workers beside it (`store.root` must be on a file system that
-    all machines share). null: `cluster` if a session trains several runs on a cluster that is not `local`."""
+    placed on one node of the cluster, with its workers (`store.root` must be on a file system that all
+    machines share). null: `cluster` if a session trains several runs on a cluster that is not `local`."""
 
     def __post_init__(self) -> None:
         require(self.workers is None or self.workers >= 1, "workers must be at least 1, or null")
@@ -146,7 +150,7 @@ class EvaluationConfig:
     seed: int = 1_000_003
     """Root of the evaluation seeds, which differ from every training seed."""
     rules: tuple[str, ...] | None = None
-    """Rules of the environment evaluated beside the learner. null: all; []: none."""
+    """Rules of the environment evaluated for comparison with the learner. null: all; []: none."""
 
     def __post_init__(self) -> None:
         require(self.episodes >= 1, "episodes must be at least 1")
@@ -215,10 +219,10 @@ class ExperimentConfig:
     algo: Mapping[str, Any] = field(default_factory=dict)
     """`name` and hyper-parameters, validated by the algorithm's own record."""
     preset: str = ""
-    """File of configs/preset whose values all others override; `none`: no preset. It names the cells of a
-    study that has several presets. Empty: unknown."""
+    """File in configs/preset, whose values every other setting overrides; `none`: no preset. It names the
+    cells of a study that has several presets. Empty: unknown."""
     candidate: str = ""
-    """Name among the candidates of a search, which names its cells; set by `headway search`."""
+    """Name of the search candidate, part of the names of its cells; set by `headway search`."""
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)

@@ -6,10 +6,11 @@ import difflib
 import inspect
 import re
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from functools import cache
 from itertools import pairwise
+from math import isnan
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -43,9 +44,9 @@ def nearest(name: str, names: Iterable[str]) -> str | None:
 
 
 def suggestion(name: str, names: Iterable[str], prefix: str = "") -> str:
-    """Return the end of an error line: the nearest name, if one is near, and the known names.
+    """Return the end of an error line: the nearest name, if any is similar, and the known names.
 
-    `prefix` is put before the nearest name. Of more than 30 names only the nearest are listed.
+    `prefix` is put before the nearest name. If there are more than 30 names, only the nearest are listed.
     """
     known = sorted(names)
     near = nearest(name, known)
@@ -56,12 +57,19 @@ def suggestion(name: str, names: Iterable[str], prefix: str = "") -> str:
     return f"{start}: {', '.join(known) or 'none'}"
 
 
-def build(record_class: type[Record], mapping: Mapping[str, Any], path: str = "", of: str = "") -> Record:
+def build(
+    record_class: type[Record],
+    mapping: Mapping[str, Any],
+    path: str = "",
+    of: str = "",
+    elsewhere: Callable[[str], str | None] | None = None,
+) -> Record:
     """Return a `record_class` built from nested mappings, lists and plain values.
 
-    `path` is the full key of the mapping, for messages; `of` is what its keys belong to. Records nest. Whole
-    floats (1e6) are accepted as int and ints as float; strings are never accepted as numbers, nor booleans as
-    ints. The class variable `RENAMED` of a record maps keys of earlier versions to a hint at their new names.
+    For messages, `path` is the full key of the mapping, `of` names the owner of its keys, and `elsewhere`
+    maps an unknown key to a remark on where it does exist, or to None. Records nest. Whole floats (1e6) are
+    accepted as int and ints as float; strings are never accepted as numbers, nor booleans as ints. The class
+    variable `RENAMED` of a record maps keys of earlier versions to a hint at their new names.
 
     Raises HeadwayError for an unknown or missing key, a value of the wrong type, a value that the record's
     `__post_init__` rejects, and the key `_target_` anywhere.
@@ -74,10 +82,9 @@ def build(record_class: type[Record], mapping: Mapping[str, Any], path: str = ""
             if now := getattr(record_class, "RENAMED", {}).get(key):
                 raise HeadwayError(f"{_join(path, str(key))}: '{key}' is now {now}")
             owner = of or path or "the experiment"
-            raise HeadwayError(
-                f"{_join(path, str(key))} is not a key of {owner}; "
-                f"{suggestion(str(key), fields, f'{path}.' if path else '')}"
-            )
+            known = elsewhere(str(key)) if elsewhere else None
+            hint = known or suggestion(str(key), fields, f"{path}." if path else "")
+            raise HeadwayError(f"{_join(path, str(key))} is not a key of {owner}; {hint}")
     for name, field in fields.items():
         if name not in mapping and field.default is MISSING and field.default_factory is MISSING:
             raise HeadwayError(f"{_join(path, name)} is missing and has no default; give it a value")
@@ -167,6 +174,13 @@ def describe(record_class: type, path: str = "") -> tuple[FieldDescription, ...]
     return tuple(described)
 
 
+def literal_choices(record_class: type) -> dict[str, tuple[Any, ...]]:
+    """Return the possible values of each key whose type is a `Literal`, by key."""
+    hints = get_type_hints(record_class)
+    names = [field.name for field in dataclasses.fields(_as_dataclass(record_class))]
+    return {name: get_args(hints[name]) for name in names if get_origin(hints[name]) is Literal}
+
+
 def plain(value: object) -> Any:  # noqa: ANN401 - dictionaries, lists and plain values, nested
     """Return a record as dictionaries, lists and plain values, ready for YAML or JSON."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -199,13 +213,14 @@ def type_name(hint: Any) -> str:  # noqa: ANN401 - any annotation
 
 
 def _check_single_choice(hint: Any, value: object, key: str, of: str, doc: str) -> None:  # noqa: ANN401 - any annotation
-    """Raise HeadwayError for another value of a key that has only one choice.
+    """Raise HeadwayError if a key that allows a single value is set to another one.
 
-    The key's docstring ends the message: it says which record to use instead.
+    The message ends with the key's docstring, which names the record to use instead.
     """
     allowed = get_args(hint)
     if get_origin(hint) is Literal and len(allowed) == 1 and value != allowed[0]:
-        raise HeadwayError(f"{key}={_show(value)} is not possible, {of or 'it'} has {allowed[0]}: {doc}")
+        fixed = f"{of or 'it'} has {key.rpartition('.')[2]}={allowed[0]}"
+        raise HeadwayError(f"{key}={_show(value)} is not possible: {fixed}. {doc}")
 
 
 def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value
@@ -238,6 +253,8 @@ def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any anno
 def _convert_scalar(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if hint is float and is_number:
+        if isnan(value):
+            raise HeadwayError(f"{key} must be a number, not {value}")
         return float(value)
     if hint is int and is_number and float(value).is_integer():
         return int(value)
@@ -328,7 +345,10 @@ def _default_text(field: "dataclasses.Field[Any]") -> str:
 
 @cache
 def _field_docs(record_class: type) -> Mapping[str, str]:
-    """Return the string literal under each annotated field of a class and its bases, on one line each."""
+    """Return the string literal under each annotated field of a class and its bases, on one line each.
+
+    Fields of classes made at run time have it as `doc` in their metadata.
+    """
     docs: dict[str, str] = {}
     for owner in reversed(record_class.__mro__[:-1]):
         try:
@@ -345,7 +365,12 @@ def _field_docs(record_class: type) -> Mapping[str, str]:
                 and isinstance(following.value.value, str)
             ):
                 docs[statement.target.id] = " ".join(following.value.value.split())
-    return docs
+    made = {
+        field.name: field.metadata["doc"]
+        for field in dataclasses.fields(record_class)
+        if "doc" in field.metadata
+    }
+    return docs | made
 
 
 def _as_dataclass(record_class: type) -> Any:  # noqa: ANN401 - `dataclasses` types its own arguments loosely

@@ -12,8 +12,7 @@ _SCALARS = (bool, int, float, str, NoneType)
 
 
 def takes_any_arguments(function: Callable[..., Any]) -> bool:
-    """Return whether the signature of `function` leaves its arguments open: `**kwargs`, or no signature at
-    all."""
+    """Return whether `function` accepts any keyword: it has `**kwargs`, or no signature at all."""
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):
@@ -22,11 +21,11 @@ def takes_any_arguments(function: Callable[..., Any]) -> bool:
 
 
 def argument_record(name: str, function: Callable[..., Any], first: int = 0) -> type:
-    """Return a frozen dataclass of the named arguments of `function`, from number `first` on, with their
-    defaults.
+    """Return a frozen dataclass of the named arguments of `function` with their defaults.
 
-    Annotations made of numbers, strings, booleans, None, and sequences and mappings of these are kept; any
-    other annotation, or none, accepts any value. Arguments whose default YAML cannot hold are left out.
+    The first `first` arguments are left out, and those whose default YAML cannot represent. Annotations made
+    of numbers, strings, booleans, None, and sequences and mappings of these are kept; any other annotation,
+    or none, accepts any value.
     """
     fields: list[Any] = []
     for parameter in list(_signature(function).parameters.values())[first:]:
@@ -46,8 +45,7 @@ def untyped_record(name: str, keys: Iterable[str]) -> type:
 
 
 def is_plain(value: object) -> bool:
-    """Return whether YAML can hold `value`: a number, string, boolean or null, or lists and mappings of
-    these."""
+    """Return whether YAML can represent `value`: numbers, strings, booleans, null, and lists and mappings."""
     if isinstance(value, _SCALARS):
         return True
     if isinstance(value, Mapping):

@@ -37,7 +37,7 @@ from headway.contracts.random_rule import RANDOM, RandomRule
 from headway.contracts.random_streams import child_seeds, generator
 from headway.contracts.spaces import ActionSpace, Box, Discrete, MultiDiscrete
 from headway.contracts.trajectory import Trajectory, TrajectoryLayout
-from headway.contracts.wrapper import BatchedWrapper, ObservationBounds, WrapperEntry
+from headway.contracts.wrapper import BatchedWrapper, BatchWrapper, ObservationBounds, WrapperEntry
 
 __all__ = [
     "RANDOM",
@@ -45,6 +45,7 @@ __all__ = [
     "ActionSpace",
     "AlgoEntry",
     "AsynchronousLearner",
+    "BatchWrapper",
     "BatchedEnv",
     "BatchedWrapper",
     "Box",

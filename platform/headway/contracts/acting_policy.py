@@ -1,4 +1,4 @@
-"""Policies as workers run them: from observations to actions, in numpy alone."""
+"""Policies as workers run them: from observations to actions, in numpy only."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
@@ -17,7 +17,8 @@ class ActingPolicy(Protocol):
     """Inference on a learner's policies, without torch.
 
     Must be picklable, since every worker gets a copy. Its log-probabilities must equal those of the learner's
-    network within 1e-5.
+    network within 1e-5. A policy whose results for a copy have the same bits in a block of any size sets the
+    class attribute `any_block` to True: all copies of a process are then computed at once.
     """
 
     def parameter_shapes(self, replicas: int) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
@@ -36,10 +37,10 @@ class ActingPolicy(Protocol):
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """Return actions and their log-probabilities for a block of C copies.
 
-        The block holds equally many copies per replica, replica-major. Actions are shaped as
+        The block contains equally many copies per replica, replica-major. Actions are shaped as
         `BatchedEnv.step` takes them, log-probabilities are (C, N). `noise` (C, N, ...) is one step of the
-        method `noise`; None: act greedily, by the mode of the distribution. Rows of agents not alive may hold
-        anything in arguments and results.
+        method `noise`; None: act greedily, by the mode of the distribution. Rows of agents not alive are
+        unspecified in arguments and results.
         """
         ...
 
@@ -80,3 +81,8 @@ class RecurrentPolicy(ActingPolicy, Protocol):
 def hidden_size(policy: ActingPolicy) -> int:
     """Return M, the length of each agent's hidden state; 0 for a policy without recurrence."""
     return policy.hidden_size if isinstance(policy, RecurrentPolicy) else 0
+
+
+def acts_in_any_block(policy: ActingPolicy) -> bool:
+    """Return whether a policy declares that its results do not depend on the block (`any_block`)."""
+    return bool(getattr(policy, "any_block", False))

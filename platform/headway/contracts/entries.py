@@ -1,4 +1,4 @@
-"""Registry entries: everything the platform needs to know about a named environment or algorithm.
+"""Registry entries: everything that the platform uses of a named environment or algorithm.
 
 Third parties register theirs by entry point (`headway.envs`, `headway.algos`), each a mapping from name to
 entry. Wrapper entries are in `headway.contracts.wrapper`. Callables in entries may be a `Lazy`, which is
@@ -30,6 +30,10 @@ def _any_budget(config: Any, iterations: int) -> str | None:  # noqa: ANN401 - a
     return None
 
 
+def _any_rollout(config: Any) -> Mapping[str, int]:  # noqa: ANN401 - any record
+    return {}
+
+
 def _no_replay(config: Any, spec: EnvSpec, env_steps: int) -> int:  # noqa: ANN401 - any record
     return 0
 
@@ -44,7 +48,7 @@ class Rule(Protocol):
 
 @dataclass(frozen=True)
 class RuleEntry:
-    """A rule of an environment, registered under a name of that environment."""
+    """Registry entry of a rule (a controller that does not learn) for one environment."""
 
     summary: str
     """One line for `headway list rules`: what the rule does, and its source if it has one."""
@@ -133,20 +137,25 @@ class AlgoEntry:
     source: str
     """Paper, with its arXiv number."""
     config: type
-    """Frozen dataclass of the hyper-parameters, the keys of `algo`. Same rules as for `EnvEntry.config`."""
+    """Frozen dataclass of the hyper-parameters, the keys of `algo`, by default. Same rules as for
+    `EnvEntry.config`.
+
+    The class variable `VALUES_BEFORE` maps keys added later to the value that reproduces the behaviour before
+    they existed, if it is not the default: runs stored without the key have it.
+    """
     acting_policy: Callable[[Any, EnvSpec], ActingPolicy]
-    """(config, spec) -> the policy that workers run."""
+    """(config, spec) -> the policy that workers run. Here and for the learner and contributor `spec` is
+    `EnvSpec.for_policies`; the platform scales actions to the environment's bounds."""
     learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner]
     """(config, spec, seeds of the R replicas, device) -> learner. The device is `cpu`, `cuda` or
     `cuda:NUMBER`."""
     refuses: Callable[[Any, EnvSpec], str | None] = _no_objection
     """(config, spec) -> one line saying why the algorithm cannot run on the environment; None if it can."""
     replay_bytes: Callable[[Any, EnvSpec, int], int] = _no_replay
-    """(config, spec, environment steps per seed) -> upper bound on the bytes of one seed's replay data that
-    are stored beside a checkpoint; 0 for algorithms without replay."""
+    """(config, spec, environment steps per seed) -> upper bound on the bytes of one seed's replay data, which
+    are stored in addition to a checkpoint; 0 for algorithms without replay."""
     refuses_budget: Callable[[Any, int], str | None] = _any_budget
-    """(config, iterations) -> one line saying why so few iterations do not allow what the config asks for;
-    None if they do."""
+    """(config, iterations) -> one line saying why the config needs more iterations; None if they suffice."""
     contributor: Callable[[Any, EnvSpec, Sequence[int]], Contributor] | None = None
     """(config, spec, seeds of the replicas) -> the worker's part of an `AsynchronousLearner`; it may import
     torch. None: the learner is synchronous."""
@@ -154,3 +163,20 @@ class AlgoEntry:
     """Modules that the forkserver imports once for all processes that run contributors."""
     kernels: tuple[str, ...] = ()
     """Modules of compiled code that the learner calls. Their `warm()` is called before training starts."""
+    rollout: Callable[[Any], Mapping[str, int]] = _any_rollout
+    """(config) -> default values of keys of `rollout`, such as `{"steps": 16}`. Every file and override takes
+    precedence over them; keys left out have the platform's defaults (`headway list keys rollout`)."""
+    record: Callable[[Mapping[str, Any]], type] | None = None
+    """(hyper-parameters given) -> frozen dataclass of all of them, if some values decide which keys there
+    are; None: always `config`."""
+
+    stored: Callable[[Mapping[str, Any]], Mapping[str, Any]] = _identity
+    """(hyper-parameters stored by an earlier version) -> the hyper-parameters without those that had no
+    effect."""
+    obsolete_keys: Mapping[str, Any] = field(default_factory=dict)
+    """Keys without effect that earlier versions stored, and their values. They stay in the hash that
+    identifies a study's cells, so that old runs keep their cells."""
+
+    def record_for(self, hyper_parameters: Mapping[str, Any]) -> type:
+        """Return the dataclass whose keys apply with these hyper-parameters."""
+        return self.config if self.record is None else self.record(hyper_parameters)

@@ -1,17 +1,17 @@
 """The batched environment: C copies, stepped at once with arrays."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts.spaces import ActionSpace
+from headway.contracts.spaces import ActionSpace, Box
 
 
 @dataclass(frozen=True)
 class EnvSpec:
-    """Static description of an environment: everything an algorithm may know before the first step."""
+    """Static description of an environment: everything that an algorithm gets before the first step."""
 
     name: str
     """Name in messages, normally the registry name."""
@@ -49,13 +49,26 @@ class EnvSpec:
         """N."""
         return len(self.agents)
 
+    @property
+    def teams(self) -> tuple[str, ...]:
+        """Team of each agent (N,), within which rewards are shared; empty if every agent has its own."""
+        if self.shared_reward:
+            return ("all",) * self.num_agents
+        return self.groups if self.shared_in_groups else ()
+
+    @property
+    def for_policies(self) -> "EnvSpec":
+        """The specification that algorithms get, with Box actions in the units of `Box.for_policies`."""
+        space = self.action_space
+        return replace(self, action_space=space.for_policies) if isinstance(space, Box) else self
+
 
 @dataclass(frozen=True, slots=True)
 class Observations:
     """Inputs of the agents of C copies before a step.
 
-    The arrays belong to the environment, which overwrites them at its next step: copy what must last. Rows of
-    agents not alive may hold anything, NaN included.
+    The arrays belong to the environment, which overwrites them at its next step: copy values that are needed
+    longer. Rows of agents not alive are unspecified and may contain NaN.
     """
 
     observations: NDArray[np.float32]
@@ -65,28 +78,29 @@ class Observations:
     alive: NDArray[np.bool_]
     """(C, N): alive mask, true where the agent exists now."""
     action_masks: NDArray[np.bool_] | None = None
-    """(C, N, A): true where an action is allowed; A counts the options of all choices of a MultiDiscrete
-    space. Every row of a live agent allows at least one. None: every action is allowed."""
+    """(C, N, A): true where an action is allowed. For a MultiDiscrete space the masks of its choices follow
+    one another, so that A is the sum of `nvec`. Every row of a live agent allows at least one action, or one
+    option of every choice. None: every action is allowed."""
 
 
 @dataclass(frozen=True, slots=True)
 class StepResult:
     """Result of one step of C copies. The arrays are overwritten at the next step.
 
-    `terminated` and `truncated` are per agent and never both set: an environment that says both means
+    `terminated` and `truncated` are per agent and never both set; where both would apply, the agent is
     terminated. An agent's stream of experience ends where either is set. After termination its return is
-    complete; after truncation it continues, estimated from `final_observations`. An agent that is only away
-    for a while (a bus at the depot) is not alive and neither is set: its stream continues when it comes back.
-    A slot whose agent ended may hold a new agent, with a new stream, later in the episode.
+    complete; after truncation it continues, estimated from `final_observations`. An agent that is only absent
+    for a while (a bus at the depot) is not alive and neither flag is set: its stream continues when it
+    returns. A slot whose agent ended may get a new agent, with a new stream, later in the episode.
 
-    When a copy's episode ends, every agent of it must be marked, agents that are away included. The copy
+    When a copy's episode ends, every agent of it must be marked, absent agents included. The copy
     resets itself: the observations that `step` returns with this result are already the first ones of the
     next episode.
     """
 
     rewards: NDArray[np.float32]
     """(C, N): finite in every slot. Slots without an agent hold the team's or group's reward if it is shared,
-    else 0. A reward paid while an agent is away belongs to its stream."""
+    else 0. A reward paid while an agent is absent belongs to its stream."""
     terminated: NDArray[np.bool_]
     """(C, N): the agent's stream ended in a terminal state."""
     truncated: NDArray[np.bool_]
@@ -98,7 +112,7 @@ class StepResult:
     """(C,): the copy's episode ended with this step."""
     final_observations: NDArray[np.float32]
     """(C, N, D): the last observation before any reset. Valid, and finite, exactly where `terminated` or
-    `truncated` is set; for an agent that is away, the last one it made."""
+    `truncated` is set; for an absent agent, its last observation."""
     final_states: NDArray[np.float32]
     """(C, S): the last state before the reset. Valid, and finite, where `episode_ended`."""
     metrics: NDArray[np.float64]
@@ -125,8 +139,7 @@ class BatchedEnv(Protocol):
     def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         """Begin episode 0 of every copy, `seeds` of shape (C,).
 
-        All randomness in episode i of copy c must follow from (seeds[c], i) alone, whatever the other copies
-        are.
+        All randomness in episode i of copy c must follow from (seeds[c], i), independently of other copies.
         """
         ...
 
@@ -141,9 +154,9 @@ class BatchedEnv(Protocol):
     def snapshot(self) -> Any:  # noqa: ANN401 - opaque to the platform
         """Return a value from which `restore` continues bit for bit.
 
-        A checkpoint must be able to hold it: numpy arrays and scalars, numbers, strings, bytes, None, and
-        lists, tuples and dicts of these with strings or numbers as keys. No other object is allowed, even if
-        it can be pickled. Raises HeadwayError if `spec.snapshots` is false.
+        It is stored in checkpoints and may consist of numpy arrays and scalars, numbers, strings, bytes,
+        None, and lists, tuples and dicts of these with strings or numbers as keys. No other object is
+        allowed, even if it can be pickled. Raises HeadwayError if `spec.snapshots` is false.
         """
         ...
 

@@ -8,7 +8,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Lazy:
-    """A callable `"module:attribute"`, as registries name what they load.
+    """A callable named by `"module:attribute"`, for registries, and imported at its first call.
 
     It pickles as its name, so light workers and `--help` import only what they call.
     """

@@ -34,8 +34,10 @@ class Learner(Protocol):
         ...
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything needed to continue exactly: tensors, numbers, strings, and lists and dicts of
-        these."""
+        """Return everything needed to continue exactly.
+
+        Allowed are tensors, numbers, strings, and lists and dicts of these.
+        """
         ...
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -45,18 +47,21 @@ class Learner(Protocol):
 
 @runtime_checkable
 class LearnerWithReplay(Learner, Protocol):
-    """A learner that stores experience and replays it.
+    """A learner that stores transitions and replays them.
 
     Replay data can be a thousand times larger than all other state and is useless once training is over. It
-    is therefore stored in a file of its own, which is deleted when the run is finished.
+    is therefore stored in a separate file, which is deleted when the run is finished.
     """
 
-    def experience(self) -> dict[str, Any]:
-        """Return the replay data needed, besides `state_dict`, to continue exactly. Same types of value."""
+    def replay_state(self) -> dict[str, Any]:
+        """Return the replay data needed, in addition to `state_dict`, to continue exactly.
+
+        Its values have the types allowed there.
+        """
         ...
 
-    def load_experience(self, experience: dict[str, Any]) -> None:
-        """Continue from the result of `experience`."""
+    def load_replay_state(self, state: dict[str, Any]) -> None:
+        """Continue from the result of `replay_state`."""
         ...
 
 
@@ -74,7 +79,7 @@ class Contributor(Protocol):
     """The part of an asynchronous algorithm that runs in each worker, on some copies of one seed."""
 
     def adopt(self, published: Parameters) -> Parameters:
-        """Take over the parameters that the learner published and return those that the acting policy reads.
+        """Load the parameters that the learner published; return those that the acting policy reads.
 
         The worker samples with the returned arrays; they must not change before `contribute` returns.
         """
@@ -90,9 +95,9 @@ class Contributor(Protocol):
         ...
 
     def snapshot(self) -> Any:  # noqa: ANN401 - opaque, plain
-        """Return the state carried from one trajectory to the next, besides the published parameters.
+        """Return the state carried from one trajectory to the next, without the published parameters.
 
-        Same types of value as `BatchedEnv.snapshot`.
+        Its values have the types allowed in `BatchedEnv.snapshot`.
         """
         ...
 
@@ -107,8 +112,10 @@ class AsynchronousLearner(Learner, Protocol):
 
     @property
     def in_turns(self) -> bool:
-        """True: contributions are applied in a fixed order of workers, so that a rerun reproduces the run
-        exactly. False: in order of arrival."""
+        """Whether contributions are applied in a fixed order of workers, so that a rerun is exact.
+
+        False: they are applied in order of arrival.
+        """
         ...
 
     def published(self) -> dict[str, NDArray[Any]]:
@@ -116,6 +123,8 @@ class AsynchronousLearner(Learner, Protocol):
         ...
 
     def apply(self, contribution: Contribution, iteration: int, progress: float) -> None:
-        """Make one update from a contribution. `iteration`, `progress` and errors are those of
-        `Learner.update`."""
+        """Make one update from a contribution.
+
+        `iteration`, `progress` and errors are those of `Learner.update`.
+        """
         ...

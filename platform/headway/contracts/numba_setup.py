@@ -1,9 +1,12 @@
 """How numba is imported, and how its compiled functions are cached, in every package of the project."""
 
+import os
 import sys
-from collections.abc import Callable, Iterator
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 P = ParamSpec("P")
@@ -46,3 +49,27 @@ def compiled_with(function: Callable[P, R], **options: object) -> Callable[P, R]
             raise
         jit = numba.njit(**options)(function)
     return cast("Callable[P, R]", jit)
+
+
+def drop_stale_cache(folder: Path, shared: Sequence[Path] = ()) -> None:
+    """Remove cached machine code compiled from an older state of the sources in `folder`, or of `shared`.
+
+    Numba checks only the file of the function that is called, not those of the functions it calls in turn, so
+    after a change elsewhere it would keep using the old machine code.
+    """
+    state = 0
+    for source in [*sorted(folder.glob("*.py")), Path(__file__), *shared]:
+        state = zlib.crc32(source.read_bytes(), state)
+    cache = folder / "__pycache__"
+    stamp = cache / "kernel.stamp"
+    try:
+        if stamp.is_file() and stamp.read_text() == f"{state}":
+            return
+        for compiled_file in cache.glob("*.nb?"):
+            compiled_file.unlink(missing_ok=True)
+        cache.mkdir(exist_ok=True)
+        written = cache / f"kernel.stamp.{os.getpid()}"
+        written.write_text(f"{state}")
+        written.replace(stamp)
+    except OSError:
+        return  # In a read-only installation numba caches elsewhere, and sources do not change.

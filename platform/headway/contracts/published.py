@@ -1,4 +1,4 @@
-"""Results of other publications, stored beside the environment that they were obtained on."""
+"""Records of published results, which are stored in the package of their environment."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

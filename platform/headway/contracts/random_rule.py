@@ -14,10 +14,31 @@ _UNBOUNDED_WIDTH = 10.0
 """Largest distance of a draw from a Box component's one finite bound, or from 0 if it has none."""
 
 
-class RandomRule:
-    """Draws each action uniformly: allowed actions of a Discrete space, all of a MultiDiscrete or Box space.
+def random_allowed(
+    space: Discrete | MultiDiscrete,
+    draw: np.random.Generator,
+    shape: tuple[int, ...],
+    masks: NDArray[np.bool_] | None,
+) -> NDArray[Any]:
+    """Return uniformly random actions for agents of any `shape`, allowed by `masks` (*shape, A).
 
-    Two rules of the same `seed` that are called alike make the same draws.
+    Agents without an allowed action get action 0.
+    """
+    options = space.n if isinstance(space, Discrete) else sum(space.nvec)
+    score = draw.random((*shape, options))
+    if masks is not None:
+        # Draws are at least 0, so -1 loses against every allowed action.
+        score = np.where(masks, score, -1.0)
+    if isinstance(space, Discrete):
+        actions: NDArray[Any] = score.argmax(axis=-1)
+        return actions
+    return np.stack([part.argmax(axis=-1) for part in space.split(score)], axis=-1)
+
+
+class RandomRule:
+    """Draws each action uniformly among those allowed.
+
+    Two rules with the same `seed` and the same sequence of calls make the same draws.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -27,15 +48,8 @@ class RandomRule:
         """Return actions as `BatchedEnv.step` takes them. Agents without an allowed action get action 0."""
         shape, draw = observed.alive.shape, self._generator
         match env.spec.action_space:
-            case Discrete(n=n):
-                score = draw.random((*shape, n))
-                if observed.action_masks is not None:
-                    # Draws are at least 0, so -1 loses against every allowed action.
-                    score = np.where(observed.action_masks, score, -1.0)
-                actions: NDArray[Any] = score.argmax(axis=-1)
-                return actions
-            case MultiDiscrete(nvec=nvec):
-                return draw.integers(0, nvec, (*shape, len(nvec)))
+            case Discrete() | MultiDiscrete() as space:
+                return random_allowed(space, draw, shape, observed.action_masks)
             case Box(low=low, high=high):
                 floor = np.where(np.isinf(low), np.where(np.isinf(high), 0.0, high) - _UNBOUNDED_WIDTH, low)
                 ceiling = np.where(np.isinf(high), np.where(np.isinf(low), 0.0, low) + _UNBOUNDED_WIDTH, high)

@@ -1,7 +1,7 @@
 """Random streams: every draw comes from a stream named by (seed, purpose, indices), never a global generator.
 
-A draw therefore depends neither on the number of workers, nor on the seeds trained beside a run, nor on a
-restart.
+A draw therefore depends neither on the number of workers, nor on other seeds trained at the same time, nor on
+a restart.
 """
 
 import zlib
@@ -25,8 +25,10 @@ def generator(seed: int, purpose: str, *indices: int) -> np.random.Generator:
 
 
 def child_seeds(seed: int, purpose: str, first: int, count: int) -> NDArray[np.uint64]:
-    """Return the seeds of copies first to first + count - 1, shape (count,). The seed of copy i depends on i
-    alone."""
+    """Return the seeds (count,) of copies first to first + count - 1.
+
+    Each depends only on (`seed`, `purpose`, index of the copy), not on `count`.
+    """
     seeds = [
         _entropy(seed, purpose, (index,)).generate_state(1, np.uint64)[0]
         for index in range(first, first + count)

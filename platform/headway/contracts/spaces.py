@@ -1,6 +1,13 @@
 """Action spaces. All agents of an environment have the same one."""
 
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_LARGEST = 3.4028234663852886e38
+"""Largest finite float32."""
 
 
 @dataclass(frozen=True)
@@ -13,11 +20,17 @@ class Discrete:
 
 @dataclass(frozen=True)
 class MultiDiscrete:
-    """Several choices at once, choice i one of `nvec[i]` options. Action arrays are int64 (..., N,
-    len(nvec))."""
+    """Several choices at once, choice i one of `nvec[i]` options.
+
+    Action arrays are int64 (..., N, len(nvec)).
+    """
 
     nvec: tuple[int, ...]
     """Number of options per choice."""
+
+    def split(self, by_option: NDArray[Any]) -> list[NDArray[Any]]:
+        """Split an array (..., sum of nvec), such as an action mask, into one (..., nvec[i]) per choice."""
+        return np.split(by_option, np.cumsum(self.nvec)[:-1], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -37,5 +50,25 @@ class Box:
         """Number of components of an action."""
         return len(self.low)
 
+    @property
+    def bounded(self) -> bool:
+        """Whether every component has two finite bounds."""
+        # Many environments write "no bound" as the limits of float32, whose difference overflows.
+        return all(high - low <= _LARGEST for low, high in zip(self.low, self.high, strict=True))
+
+    @property
+    def for_policies(self) -> "Box":
+        """The box in the units of policies: [-1, 1] in every component with two finite, different bounds."""
+        bounds = zip(self.low, self.high, strict=True)
+        pairs = [(-1.0, 1.0) if 0 < high - low <= _LARGEST else (low, high) for low, high in bounds]
+        return Box(tuple(low for low, _ in pairs), tuple(high for _, high in pairs))
+
 
 ActionSpace = Discrete | MultiDiscrete | Box
+
+
+def allows_action(space: ActionSpace, masks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whether action masks (..., A) allow an action, (...): an option of every choice."""
+    choices = space.split(masks) if isinstance(space, MultiDiscrete) else [masks]
+    allowed: NDArray[np.bool_] = np.logical_and.reduce([choice.any(axis=-1) for choice in choices])
+    return allowed

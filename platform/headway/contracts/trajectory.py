@@ -81,7 +81,7 @@ class Trajectory:
     """
 
     observations: NDArray[np.float32]
-    """(T + 1, C, N, D): rows of agents not alive may hold anything."""
+    """(T + 1, C, N, D): rows of agents not alive are unspecified."""
     states: NDArray[np.float32]
     """(T + 1, C, S): global states."""
     alive: NDArray[np.bool_]
@@ -122,7 +122,7 @@ class Trajectory:
 
     @classmethod
     def allocate(cls, layout: TrajectoryLayout) -> Self:
-        """Return a trajectory with memory of its own, filled with zeros."""
+        """Return a trajectory of zeros in newly allocated memory."""
         return cls.from_buffer(bytearray(layout.nbytes), layout)
 
     def of_copies(self, first: int, count: int) -> Self:

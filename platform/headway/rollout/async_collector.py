@@ -9,7 +9,7 @@ from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
 from headway.rollout.collector import Collector, concatenate_blocks, evaluation_requests, restart_purpose
 from headway.rollout.episodes import evaluate_policy
-from headway.rollout.plan import process_holds
+from headway.rollout.plan import copies_limit_text
 from headway.rollout.workers.async_worker import AsynchronousPlan, ContributionService
 from headway.rollout.workers.process_workers import process_collector
 from headway.rollout.workers.worker import Begin, Contribute, Done, Restore
@@ -33,7 +33,7 @@ class PoolContributors:
         self.tasks: dict[int, Contribute] = {}
         """Current task by worker."""
         self.ready: deque[int] = deque()
-        """Workers that have answered or died and whose answer was not yet received, in order of arrival."""
+        """Workers that have answered or died, until their answer is received, in order of arrival."""
         try:
             self.pool = WorkerPool(launcher, len(plan.shards), notify)
         except BaseException:
@@ -65,7 +65,7 @@ class PoolContributors:
         """
         while True:
             worker = self._next_ready() if turn is None else turn
-            # Named by contribution: a fast worker may make, and die in, several contributions per iteration.
+            # Named by contribution, since a fast worker may fail in several of them in one iteration.
             self.pool.restart_purpose = f"env restart for contribution {self.tasks[worker].number}"
             done = self.pool.receive(worker, self.tasks[worker])
             if done is not None:
@@ -121,7 +121,7 @@ class SerialContributors:
         limit = self.plan.spec.max_copies_per_process
         if limit is not None and self.plan.copies > limit:
             raise HeadwayError(
-                f"{process_holds(self.plan.spec, limit)}, and this one would hold "
+                f"{copies_limit_text(self.plan.spec, limit)}, and this one would hold "
                 f"{self.plan.copies}; set backend=process, or rollout.copies={limit}"
             )
         self.workers = [ContributionService(plan, shard) for shard in plan.shards]

@@ -50,8 +50,8 @@ def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: No
 def _open_evaluator(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
     """Start the workers that only evaluate.
 
-    As many as one replica group has for training, but at most one per group: the cores reserved for a stack
-    are those of one group.
+    There are as many as one replica group has for training, because cores are reserved for one group only,
+    and at most one per group.
     """
     name = "process" if backend.name == "serial" else backend.name
     groups = len(plan.groups)

@@ -88,7 +88,7 @@ class Contributors(Backend, Protocol):
 
 
 def evaluation_requests(plan: RolloutPlan, root: int, episodes: int, greedy: bool) -> list[EvaluationRequest]:
-    """Split an evaluation into the blocks that every backend plays it in."""
+    """Split an evaluation into blocks, the same on every backend."""
     return EvaluationRequest.split(root, episodes, greedy, evaluation_block(plan.spec))
 
 

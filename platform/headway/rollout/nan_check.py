@@ -41,8 +41,11 @@ def check_finite(
 def _checked_arrays(
     outcome: StepResult | None, observed: Observations
 ) -> Iterator[tuple[str, NDArray[np.float32], Callable[[], NDArray[np.bool_]], str]]:
-    """Yield the name of a quantity, its values (C, N or 1, size), a function that returns the mask of valid
-    rows (C, N or 1), and a hint that ends the error line."""
+    """Yield (name, values, mask of valid rows, hint) of each quantity to check.
+
+    Values are (C, N or 1, size); the mask is a function that returns (C, N or 1); the hint ends the error
+    line.
+    """
     absent = ", or mark the agent as not alive there"
     yield "observation", observed.observations, lambda: observed.alive, absent
     yield "state", observed.states[:, None], lambda: np.ones((len(observed.states), 1), np.bool_), ""

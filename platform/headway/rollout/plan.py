@@ -11,6 +11,7 @@ from typing import Any, Self
 from headway.config.experiment import RolloutConfig
 from headway.contracts import BatchedEnv, EnvSpec, HeadwayError, TrajectoryLayout
 from headway.contracts.acting_policy import ActingPolicy, Parameters, hidden_size
+from headway.rollout.scaled_actions import ScaledActions
 
 EVALUATION_BLOCK = 10
 """Evaluation episodes per batch, the same on every backend."""
@@ -18,7 +19,7 @@ EVALUATION_BLOCK = 10
 
 @dataclass(frozen=True)
 class Shard:
-    """Part of the copies held by one worker: equally many of each of several replicas."""
+    """The copies that one worker steps: the same range of copies of each of several replicas."""
 
     first_replica: int
     replicas: int
@@ -29,14 +30,14 @@ class Shard:
     """Number of copies of each replica."""
 
 
-def process_holds(spec: EnvSpec, limit: int) -> str:
+def copies_limit_text(spec: EnvSpec, limit: int) -> str:
     """Return the limit in words, for messages."""
     copies = "1 copy" if limit == 1 else f"{limit} copies"
     return f"a process can hold {copies} of {spec.name}"
 
 
 def replica_groups(limit: int | None, replicas: int, block: int) -> list[tuple[int, int]]:
-    """Divide the replicas into groups, each held by workers of its own; return (first, number) per group.
+    """Divide the replicas into groups with separate workers; return (first, number) per group.
 
     All replicas form one group unless one block of each exceeds `limit`, the copies allowed per process.
     Otherwise there are as few groups as possible, of sizes as equal as possible.
@@ -76,7 +77,7 @@ class RolloutPlan:
     prepared: Any
     """Result of the entry's `prepare` for the evaluation environment."""
     spec: EnvSpec
-    """Specification of the training environment."""
+    """Specification of the training environment, with actions in the units of the policy."""
     policy: ActingPolicy
     seeds: tuple[int, ...]
     """Seeds of the R replicas."""
@@ -146,12 +147,15 @@ class RolloutPlan:
 
     def make(self, copies: int) -> BatchedEnv:
         """Return the evaluation environment with `copies` copies per replica."""
-        return self.make_env(self.prepared, self.replicas * copies)
+        return self._in_policy_units(self.make_env(self.prepared, self.replicas * copies))
 
     def make_for_training(self, copies: int) -> BatchedEnv:
         """Return the training environment with `copies` copies per replica."""
         prepared = self.prepared if self.training_prepared is None else self.training_prepared
-        return self.make_env(prepared, self.replicas * copies)
+        return self._in_policy_units(self.make_env(prepared, self.replicas * copies))
+
+    def _in_policy_units(self, env: BatchedEnv) -> BatchedEnv:
+        return env if env.spec.action_space == self.spec.action_space else ScaledActions(env, self.spec)
 
     def shards(self, workers: int) -> list[Shard]:
         """Divide the copies into one shard per worker, each of whole blocks and as equal as possible.
@@ -167,7 +171,8 @@ class RolloutPlan:
         ]
         if limit is not None and (not shards or max(each.replicas * each.count for each in shards) > limit):
             raise HeadwayError(
-                f"{process_holds(self.spec, limit)}, and a worker would hold more; set {self._within(limit)}"
+                f"{copies_limit_text(self.spec, limit)}, and a worker would hold more; "
+                f"set {self._within(limit)}"
             )
         return shards
 
@@ -176,7 +181,7 @@ class RolloutPlan:
         limit = self.spec.max_copies_per_process
         if limit is not None and self.replicas * self.copies > limit:
             raise HeadwayError(
-                f"{process_holds(self.spec, limit)}, and with backend=serial one would hold more; set "
+                f"{copies_limit_text(self.spec, limit)}, and with backend=serial one would hold more; set "
                 f"backend=process, {self._within(limit)}"
             )
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Observations, RecurrentPolicy, StepResult
-from headway.contracts.acting_policy import Parameters
+from headway.contracts.acting_policy import Parameters, acts_in_any_block
 from headway.rollout.plan import RolloutPlan
 
 _BlockResult = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]
@@ -15,13 +15,16 @@ _BlockResult = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]
 
 
 class PolicyPlayer:
-    """Computes actions for C = R x E copies (replica-major) in blocks of a few copies per replica.
+    """Computes actions for C = R x E copies (replica-major).
 
-    Keeps the hidden states of a recurrent policy, so `reset_ended` must be called after every step.
+    Copies are split into blocks of a few per replica if the last bits of the policy's results depend on the
+    block. Keeps the hidden states of a recurrent policy, so `reset_ended` must be called after every step.
     """
 
     def __init__(self, plan: RolloutPlan, copies: int, block: int) -> None:
         self.plan, self.copies = plan, copies
+        if acts_in_any_block(plan.policy):
+            block = copies
         self.blocks = [slice(start, min(start + block, copies)) for start in range(0, copies, block)]
         agents = (plan.replicas * copies, plan.spec.num_agents)
         self.recurrent_policy = plan.policy if isinstance(plan.policy, RecurrentPolicy) else None

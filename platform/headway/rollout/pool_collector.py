@@ -21,7 +21,7 @@ class SamplingTransport(WorkerLauncher, Protocol):
         ...
 
     def publish(self, parameters: Parameters) -> None:
-        """Send the parameters that all workers use from now on."""
+        """Send the acting parameters, arrays (P, ...) by name, which all workers use until the next call."""
         ...
 
     def close(self) -> None:

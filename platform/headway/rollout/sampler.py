@@ -74,6 +74,7 @@ class Sampler:
         else:
             self.views = shard_views(trajectory, plan.replicas, shard)
         self.observed: Observations | None = None
+        self._shape = (shard.replicas, shard.count)
         self.tally = Tally(shard.replicas * shard.count, plan.spec.metrics)
 
     def begin(self, purpose: str = "env") -> None:
@@ -152,7 +153,7 @@ class Sampler:
             self.views["action_masks"][t] = self._by_replica(observed.action_masks)
 
     def _by_replica(self, array: NDArray[Any]) -> NDArray[Any]:
-        return array.reshape(self.plan.replicas, self.shard.count, *array.shape[1:])
+        return array.reshape(self._shape + array.shape[1:])
 
     def _name_copy(self, row: int) -> str:
         replica, copy = divmod(row, self.shard.count)

@@ -51,7 +51,7 @@ class SerialCollector:
         return []
 
     def usage(self) -> Usage:
-        """Return no usage besides that of this process."""
+        """Return zero usage: there are no worker processes."""
         return Usage()
 
     def close(self) -> None:

@@ -36,7 +36,7 @@ def auc(
     With study-wide bounds `low` and `high` (see `value_range`) runs can be ranked. Values outside the bounds
     are not clipped, and the area of a single point is its normalised value.
 
-    Raises ValueError for an empty curve, steps that do not increase, one bound alone, and `low` not below
+    Raises ValueError for an empty curve, steps that do not increase, a single bound, and `low` not below
     `high`.
     """
     steps, curve = _curve(env_steps, values)

@@ -171,11 +171,11 @@ def even_thresholds(scores: pd.DataFrame) -> NDArray[np.float64]:
 
 
 def efficiency(curves: pd.DataFrame) -> pd.DataFrame:
-    """Return the sample-efficiency curve of each controller, at the steps that all its runs on all tasks
-    share.
+    """Return the sample-efficiency curve of each controller, at the steps common to all its runs.
 
-    Columns: `controller`, `env_steps`, the interquartile mean `iqm`, and `low` and `high`, the ends of its
-    95% interval (NaN if any task has only one run). A controller whose runs share no steps is left out.
+    Columns: `controller`, `env_steps`, the interquartile mean `iqm` over all tasks, and `low` and `high`, the
+    ends of its 95% interval (NaN if any task has only one run). A controller whose runs share no steps is
+    left out.
     """
     frames = []
     for controller, of_controller in curves.groupby("controller", sort=False):

@@ -46,11 +46,12 @@ def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike, confidence: float =
     Why: all seeds are evaluated on the same episodes, so entries are not independent. With variances s2 of
     seeds, d2 of episodes and e2 of the rest, the mean over S seeds and D episodes has variance s2/S + d2/D +
     e2/(S D). The sample variances of the seeds' means and of the episodes' means estimate s2 + e2/D and d2 +
-    e2/S, independently of each other. For normal effects the sum covers at least as often as stated, whatever
-    share of the variance each part has. A single t with pooled degrees of freedom (Satterthwaite) covers too
-    rarely with two seeds, and the bootstrap over both axes with few of either.
+    e2/S, independently of each other. For normal effects this interval contains the true mean at least as
+    often as stated, whatever share of the variance each part has. A single t with pooled degrees of freedom
+    (Satterthwaite) contains it too rarely with two seeds, as does the bootstrap over both axes with few seeds
+    or episodes.
 
-    Limits: the interval is somewhat too wide, since e2/(S D) counts twice, and two seeds alone give 12.7
+    Limits: the interval is somewhat too wide, since e2/(S D) counts twice, and with two seeds t is 12.7
     standard errors. It cannot account for failures that did not occur: if one seed in four fails, five seeds
     are often all good, and in simulation only three intervals in four contained the true value.
 

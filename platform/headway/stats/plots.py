@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from headway.contracts.errors import HeadwayError
+from headway.wording import counted
+
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
@@ -27,8 +30,8 @@ _MARKERS = ("o", "s", "^")
 """Markers of the same rounds in scatter plots."""
 _RULE_LINES: tuple[Any, ...] = ("--", ":", "-.")
 _OUTLIER_FACTOR = 5.0
-"""Values farther from the others than this multiple of their range are not allowed to stretch an axis; the
-legend states them."""
+"""Values farther from the others than this multiple of their range do not extend an axis; the legend states
+them."""
 _MAX_MARKED_POINTS = 60
 """Lines with at most this number of points have a marker at each point."""
 _THOUSANDS = "{x:,.10g}"
@@ -37,9 +40,9 @@ _PARTS = {"cpu_kwh": "CPU", "gpu_kwh": "GPU", "ram_kwh": "RAM"}
 _PART_COLOURS = {"cpu_kwh": "#4477AA", "gpu_kwh": "#CCBB44", "ram_kwh": "#AAAAAA"}
 _WIDTH = 9.0
 _PANEL_WIDTH = 5.5
-"""Minimum width in inches of a panel beside a legend."""
+"""Minimum width in inches of a panel next to a legend."""
 _LINE_HEIGHT = 0.17
-"""Height in inches of a line of text beside an axis."""
+"""Height in inches of a line of text next to an axis."""
 _NAME_LENGTH = 44
 """Characters per line of a controller's name, which includes its settings."""
 _DOTS_PER_INCH = 150
@@ -59,11 +62,6 @@ def colours(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
         }
         for place, name in enumerate(controllers)
     }
-
-
-def counted(count: int, what: str) -> str:
-    """Return a count with its noun: `1 run`, `3 runs`."""
-    return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
 def learning_curves(
@@ -105,6 +103,8 @@ def learning_curves(
                 _draw_curve(axes, name, by_name[name], column, styles[name], shade, remark)
             axes.set_ylim(window)
         if low is not None:
+            if low >= (top := axes.get_ylim()[1]):
+                raise HeadwayError(f"the axis cannot begin at {low:g}: all values lie below {top:.4g}")
             axes.set_ylim(bottom=low)
         _style_axes(axes, "environment steps", label)
         _format_steps(axes)
@@ -169,10 +169,10 @@ def _point_markers(points: int) -> dict[str, Any]:
 
 
 def draw_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) -> None:
-    """Draw each rule as a grey horizontal line, or a vertical one if `upright`; list distant ones in the
-    legend.
+    """Draw each rule as a grey horizontal line, or a vertical one if `upright`.
 
-    A vertical axis with fixed limits is extended to the rules drawn.
+    Distant rules are only listed in the legend. A vertical axis with fixed limits is extended to the rules
+    drawn.
     """
     low, high = axes.get_xlim() if upright else axes.get_ylim()
     near = near_rules(rules, low, high)
@@ -213,13 +213,12 @@ def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:
 
 
 def outliers(values: Mapping[str, "NDArray[np.floating[Any]]"], sign: int = 1) -> dict[str, float]:
-    """Return the worst value of each controller that is far worse than most others, such as one that
-    diverged.
+    """Return the worst value of each controller that is far worse than most, such as one that diverged.
 
-    "Most others" are the more than half of the controllers whose ranges lie closest together; far is more
-    than five times their range, or five times the median range of all controllers if that is wider. Higher is
-    better if `sign` is 1, lower if -1; far better is never an outlier. With fewer than three controllers
-    there are none.
+    "Most" are the more than half of the controllers whose ranges lie closest together; far is more than five
+    times their range, or five times the median range of all controllers if that is wider. Higher is better if
+    `sign` is 1, lower if -1; far better is never an outlier. With fewer than three controllers there are
+    none.
     """
     known = {name: of_name[np.isfinite(of_name)] for name, of_name in values.items()}
     known = {name: of_name for name, of_name in known.items() if len(of_name)}
@@ -231,7 +230,7 @@ def outliers(values: Mapping[str, "NDArray[np.floating[Any]]"], sign: int = 1) -
     low, high = min(
         ((near[0][0], max(end for _, end in near)) for near in together), key=lambda ends: ends[1] - ends[0]
     )
-    # Points of few seeds may agree by chance: without a usual range nothing counts as far.
+    # Points of few seeds may agree by chance: without a usual range there are no outliers.
     usual = float(np.diff(np.median(ranges, axis=0))[0])
     excluded = {}
     for name, of_name in known.items():
@@ -299,12 +298,11 @@ def performance_profiles(
 
 
 def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) -> "Figure":
-    """Plot the mean costs per run of each controller (the index) with standard deviations, in panels side by
-    side.
+    """Plot the mean costs per run of each controller (the index), with standard deviations.
 
-    Panels: CO2 if `units` has `kg_co2`, energy by part, CPU seconds. `energy` has the columns `kg_co2`,
-    `kwh`, `cpu_kwh`, `gpu_kwh`, `ram_kwh`, `cpu_seconds`, `kg_co2_std`, `kwh_std` and `cpu_seconds_std`.
-    `units` gives (unit, factor) of `kwh` and, if it is known, of `kg_co2`.
+    Panels side by side: CO2 if `units` has `kg_co2`, energy by part, CPU seconds. `energy` has the columns
+    `kg_co2`, `kwh`, `cpu_kwh`, `gpu_kwh`, `ram_kwh`, `cpu_seconds`, `kg_co2_std`, `kwh_std` and
+    `cpu_seconds_std`. `units` gives (unit, factor) of `kwh` and, if it is known, of `kg_co2`.
     """
     places, names = np.arange(len(energy)), [_wrapped(str(name)) for name in energy.index]
     figure = _figure(_WIDTH, 1.4 + _rows_height(names))
@@ -377,8 +375,7 @@ def reward_against_cost(
 
 
 def reward_components(components: "pd.DataFrame") -> "Figure":
-    """Plot the components of the reward, one panel per component (column), one bar per controller or rule
-    (row).
+    """Plot reward components, one panel per component (column), one bar per controller or rule (row).
 
     Bars to the right of 0 are rewards, to the left penalties. Each panel has its own scale, since components
     may be unweighted and then do not add up. Components that are 0 in every row are left out.

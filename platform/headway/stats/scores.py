@@ -71,12 +71,11 @@ def probability_of_improvement(
     resamples: int = BAND_RESAMPLES,
     seed: int = 0,
 ) -> Interval:
-    """Return the probability that a run of `a` scores above a run of `b` on the same task, averaged over
-    tasks.
+    """Return the probability that a run of `a` scores above a run of `b`, averaged over tasks.
 
-    Ties count half (the Mann-Whitney statistic; Agarwal et al. 2021). For the percentile interval the runs of
-    both are drawn with replacement within each task. Raises ValueError if the numbers of tasks differ, and
-    for the reasons of `stratified_bootstrap_interval`.
+    Runs are compared on the same task, and ties count half (the Mann-Whitney statistic; Agarwal et al. 2021).
+    For the percentile interval the runs of both are drawn with replacement within each task. Raises
+    ValueError if the numbers of tasks differ, and for the reasons of `stratified_bootstrap_interval`.
     """
     check_confidence(confidence)
     left, right = _tasks(a, "a"), _tasks(b, "b")
@@ -151,9 +150,10 @@ def sample_efficiency(
 
 
 def normalised(score: ArrayLike, random: float, best: float) -> NDArray[np.float64]:
-    """Return scores on the scale where random play is 0 and the best rule 1, comparable across environments.
+    """Return (score - random) / (best - random), in the shape of `score`.
 
-    Raises ValueError if the best rule does not score above random play.
+    It is comparable across environments: 0 is random play's return, 1 the best rule's. Raises ValueError if
+    the best rule does not score above random play.
     """
     if not random < best:
         raise ValueError(f"the best rule ({best:g}) must score above random play ({random:g})")

@@ -1,5 +1,4 @@
-"""Views of a run for a browser, which cannot show Parquet: its curves as a picture, its evaluations as
-CSV."""
+"""Views of a run for a browser, which cannot show Parquet: curves as a picture, evaluations as CSV."""
 
 import csv
 import io
@@ -16,8 +15,11 @@ _DRAWN = ("evaluation_greedy/return", "evaluation_sampled/return", "training/ret
 
 
 def write_views(directory: Path, title: str) -> None:
-    """Write the picture and the table into a run's folder, replacing older ones. Write nothing if the run has
-    no curve yet. Raises HeadwayError if its log cannot be read or a file cannot be written."""
+    """Write the picture and the table into a run's folder, replacing older ones.
+
+    Write nothing if the run has no curve yet. Raises HeadwayError if its log cannot be read or a file cannot
+    be written.
+    """
     rows = read_rows(directory, "curve")
     evaluated = [row for row in rows if any(name.startswith("evaluation_") for name in row)]
     if evaluated:

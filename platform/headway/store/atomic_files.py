@@ -19,11 +19,11 @@ _PARTIAL = ".partial"
 def write_durably(
     path: Path, write: Callable[[IO[bytes]], object], temporary_folder: Path | None = None
 ) -> None:
-    """Write a file atomically: `write` fills a temporary file, then fsync, rename to `path`, fsync of the
-    folder. An older file at `path` stays until the new one is complete.
+    """Write a file atomically: an older file at `path` stays until the new one is complete.
 
-    `temporary_folder`, on the same file system, holds the temporary file; None: the folder of `path`. Raises
-    HeadwayError with one line if the file cannot be written (disk full, no permission, ...).
+    `write` fills a temporary file, which is flushed (fsync) and renamed to `path`; then the folder is
+    flushed. `temporary_folder`, on the same file system, holds the temporary file; None: the folder of
+    `path`. Raises HeadwayError with one line if the file cannot be written (disk full, no permission, ...).
     """
     try:
         descriptor, name = tempfile.mkstemp(_PARTIAL, f".{path.name}-", temporary_folder or path.parent)

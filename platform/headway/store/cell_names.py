@@ -16,7 +16,7 @@ _TRAINING_ARGS = "env.training_args."
 """Arguments of the training environment only; results are reported on the evaluation environment."""
 _WRAPPERS = "env.wrappers"
 _POLICIES = "algo.policies"
-"""Shown by its value alone: `shared`."""
+"""Shown without its key, as `shared`."""
 _MAX_SHOWN = 6
 """Maximum number of settings shown in full; a longer list is cut to the first `_FIRST_SHOWN`."""
 _FIRST_SHOWN = 3
@@ -51,8 +51,10 @@ class CellName:
 
 
 def labelled_cells(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
-    """Return the runs of each cell by its label, sorted by label. Raises HeadwayError if a run's record
-    cannot be read."""
+    """Return the runs of each cell by its label, sorted by label.
+
+    Raises HeadwayError if a run's record cannot be read.
+    """
     rows = list(runs)
     names = cell_names(rows)
     cells: dict[str, list[RunRow]] = defaultdict(list)
@@ -62,8 +64,10 @@ def labelled_cells(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
 
 
 def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
-    """Return the name of each cell, by its key in the store. Raises HeadwayError if a run's record cannot be
-    read."""
+    """Return the name of each cell, by its key in the store.
+
+    Raises HeadwayError if a run's record cannot be read.
+    """
     cells: dict[str, list[RunRow]] = defaultdict(list)
     for run in runs:
         cells[run.cell].append(run)
@@ -89,21 +93,25 @@ def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
 
 def _choice(runs: Sequence[RunRow]) -> CellChoice:
     """Return the choices and settings of the cell of `runs`, read from its newest run's record."""
+    from headway.registry import hashed_parameters
+
     # Older runs may have been stored without the preset or the candidate.
     run = max(runs, key=lambda each: each.started)
     record = RunRecord.read(Path(run.directory))
     preset = next((each.preset for each in runs if each.preset), "")
-    parameters = {**({_POLICIES: run.policies} if run.policies else {}), **record.parameters}
+    policies = {_POLICIES: run.policies} if run.policies else {}
+    parameters = {**policies, **hashed_parameters(run.algorithm, record.parameters)}
     return CellChoice(run.environment, run.algorithm, preset, parameters, record.candidate)
 
 
 def _unique_names(
     kinds: Mapping[str, tuple[str, ...]], cells: Mapping[str, CellChoice], of_task: bool
 ) -> dict[str, str]:
-    """Return a unique name per cell and kind: the first item of its kind, then the preset, search candidate,
-    policies and settings that differ between the cells of that kind.
+    """Return a unique name per cell, given the kind of each.
 
-    `of_task`: compare the settings of the task; else the settings of the controller.
+    The name consists of the first item of its kind, then the preset, search candidate, policies and settings
+    that differ between the cells of that kind. `of_task`: compare the settings of the task; else those of the
+    controller.
     """
     settings = {key: _settings_of(cell.parameters, of_task) for key, cell in cells.items()}
     groups: dict[tuple[str, ...], list[str]] = defaultdict(list)
@@ -140,7 +148,7 @@ def _with_candidates(kinds: Mapping[str, tuple[str, ...]], cells: Mapping[str, C
 def _presets_differ(
     keys: Sequence[str], cells: Mapping[str, CellChoice], settings: Mapping[str, Mapping[str, str]]
 ) -> bool:
-    """True if the presets of the cells are all known, at least two, and each has settings of its own."""
+    """Return whether the presets are all known, at least two, and no two of them have the same settings."""
     owners: dict[tuple[tuple[str, str], ...], set[str]] = defaultdict(set)
     for key in keys:
         owners[tuple(sorted(settings[key].items()))].add(cells[key].preset)
@@ -161,8 +169,7 @@ def _by_preset(keys: Sequence[str], cells: Mapping[str, CellChoice], named: bool
 
 
 def _by_policies(keys: Sequence[str], settings: Mapping[str, Mapping[str, str]]) -> dict[str, list[str]]:
-    """Group cells by the part of the name that shows their policies; the part is empty if all have the
-    same."""
+    """Group cells by the part of the name that shows their policies, empty if all have the same."""
     groups: dict[str, list[str]] = defaultdict(list)
     for key in keys:
         groups[f", {settings[key].get(_POLICIES, 'without ' + _POLICIES)}"].append(key)
@@ -170,8 +177,10 @@ def _by_policies(keys: Sequence[str], settings: Mapping[str, Mapping[str, str]])
 
 
 def _shown_settings(cells: Sequence[Mapping[str, str]]) -> list[Sequence[str]]:
-    """Return the settings that differ between the cells, per cell: `name=value`, or `without name`. A long
-    list is cut if the cells stay distinct."""
+    """Return the settings that differ between the cells, per cell: `name=value`, or `without name`.
+
+    A long list is cut if the cells stay distinct.
+    """
     # Cells of two presets that were stored without the preset's name differ in a dozen settings.
     full = _differing(cells)
     short = [_first_few(own) for own in full]
@@ -198,8 +207,10 @@ def _settings_of(parameters: Mapping[str, str], of_task: bool) -> dict[str, str]
 
 
 def _wrappers(text: str, of_task: bool) -> str:
-    """Return the wrappers that define the task or, if not `of_task`, those that only change rewards and so
-    belong to the controller. Empty if there are none."""
+    """Return the wrappers that define the task or, if not `of_task`, those that only change rewards.
+
+    The latter belong to the controller. Empty if there are none.
+    """
     from headway.registry import wrapper_entry
 
     # Parsed but not evaluated: an argument may be infinite, and `inf` is no Python literal.
@@ -218,7 +229,9 @@ def _name(wrapper: ast.expr) -> str:
 
 def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
     """Return the parameters that differ between the cells, per cell, as `name=value` or `without name`.
-    Environment arguments are shown without their prefix."""
+
+    Environment arguments are shown without their prefix.
+    """
     names = list(dict.fromkeys(name for cell in cells for name in cell))
     differing = {
         name: name.removeprefix(_ARGS) for name in names if len({cell.get(name) for cell in cells}) > 1

@@ -24,8 +24,10 @@ _KIND = "__headway__"
 
 
 def save_checkpoint(directory: Path, iteration: int, state: Mapping[str, Any]) -> Path:
-    """Serialise `state` and write it as the checkpoint of `iteration`. Raises ValueError for a value of an
-    unsupported type, and HeadwayError if the file cannot be written."""
+    """Serialise `state` and write it as the checkpoint of `iteration`.
+
+    Raises ValueError for a value of an unsupported type, and HeadwayError if the file cannot be written.
+    """
     return write_checkpoint(directory, iteration, checkpoint_bytes(state))
 
 
@@ -52,13 +54,15 @@ def write_checkpoint(directory: Path, iteration: int, content: bytes, gate: Path
     return _write(directory, "checkpoint", iteration, content, gate)
 
 
-def write_experience(directory: Path, iteration: int, content: bytes, gate: Path | None = None) -> Path:
-    """Write the replay buffer that belongs to the checkpoint of `iteration`, before that checkpoint is
-    written. Arguments and errors as in `write_checkpoint`."""
+def write_replay(directory: Path, iteration: int, content: bytes, gate: Path | None = None) -> Path:
+    """Write the replay buffer of `iteration`, before the checkpoint that it belongs to.
+
+    Arguments and errors are those of `write_checkpoint`.
+    """
     return _write(directory, "experience", iteration, content, gate)
 
 
-def remove_experience(directory: Path, gate: Path | None = None) -> None:
+def remove_replay(directory: Path, gate: Path | None = None) -> None:
     """Delete all stored replay buffers of a finished run. Raises HeadwayError if the gate has been closed."""
     for _, path in _files(directory, "experience"):
         discard(path, gate)
@@ -75,11 +79,13 @@ def _write(directory: Path, kind: str, iteration: int, content: bytes, gate: Pat
     return path
 
 
-def load_to_go_on(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
-    """Load the newest checkpoint from which training can resume: like `load_latest`, but with the replay
-    buffer in the state as `experience` (None: the learner has none). A stack keeps it in one of its
-    folders."""
-    return _newest_valid(directories, _with_experience(directories))
+def load_for_resume(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
+    """Load the newest checkpoint from which training can resume, with its replay buffer.
+
+    Arguments, result and errors are those of `load_latest`; the state also contains the replay buffer as
+    `replay` (None: the learner has none). A stack stores it in only one of its folders.
+    """
+    return _newest_valid(directories, _with_replay(directories))
 
 
 def load_latest(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
@@ -91,17 +97,17 @@ def load_latest(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...
     return _newest_valid(directories, _load)
 
 
-def _with_experience(directories: Sequence[Path]) -> Callable[[Path], dict[str, Any]]:
+def _with_replay(directories: Sequence[Path]) -> Callable[[Path], dict[str, Any]]:
     def load(path: Path) -> dict[str, Any]:
         state = _load(path)
         if not state.get("has_experience", False):
-            return {**state, "experience": None}
+            return {**state, "replay": None}
         name = path.name.replace("checkpoint", "experience")
         found = [directory / name for directory in directories if (directory / name).exists()]
         if not found:
             raise ValueError(f"its replay buffer {name} is missing")
         try:
-            return {**state, "experience": _load(found[0])}
+            return {**state, "replay": _load(found[0])}
         except ValueError as error:
             raise ValueError(f"its replay buffer {name} is broken: {error}") from error
 

@@ -29,8 +29,7 @@ class EnergyLog:
         self._rows.append(sample)
 
     def last(self) -> Row:
-        """Return the last sample, from an earlier session if this one has none yet; empty if there is
-        none."""
+        """Return the last sample, possibly from an earlier session; empty if there is none."""
         self._load()
         return self._rows[-1] if self._rows else {}
 
@@ -63,8 +62,10 @@ class EnergyLog:
 
 
 def read_energy(directory: Path) -> "pd.DataFrame":
-    """Return all samples of the run in `directory`, oldest first; an empty frame if it has none. Raises
-    HeadwayError if the file cannot be read."""
+    """Return all samples of the run in `directory`, oldest first; an empty frame if it has none.
+
+    Raises HeadwayError if the file cannot be read.
+    """
     import pandas as pd
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -3,10 +3,10 @@
 A training process writes only through a *gate*, a subfolder of the run's folder with a unique random name: a
 new file is created in the gate and renamed out of it, and a file to remove is first renamed into it. Before a
 run is handed to another process, its gate is renamed (which closes it) and removed. A former writer that
-wakes up late can then change nothing: a rename from or to a removed folder fails. The rename checks and
-writes in one atomic step, so no clock or lock is needed that a disconnected machine would have to agree on.
-Renaming alone is not enough on NFS, where another machine may still reach the folder by its file handle, so
-it is removed too.
+resumes late can then change nothing: a rename from or to a removed folder fails. The rename checks and
+writes in one atomic step, so no clock or lock shared with a disconnected machine is needed.
+On NFS renaming is not enough, because another machine may still reach the folder by its file handle; so the
+folder is removed too.
 """
 
 import errno
@@ -43,8 +43,10 @@ def open_gate(directory: Path) -> Path:
 
 
 def close_gates(directory: Path) -> None:
-    """Close all gates of a run's folder, so that no process can write to it. Raises HeadwayError if a gate
-    cannot be renamed or removed."""
+    """Close all gates of a run's folder, so that no process can write to it.
+
+    Raises HeadwayError if a gate cannot be renamed or removed.
+    """
     for gate in directory.glob(f"{_PREFIX}*"):
         try:
             gate.rename(gate.with_name(gate.name.replace(_PREFIX, _SHUT, 1)))
@@ -77,8 +79,10 @@ def _remove(gate: Path) -> None:
 
 
 def write_through(path: Path, write: Callable[[IO[bytes]], object], gate: Path | None) -> None:
-    """Write a file by `write_durably` through a gate; None: without fencing. Raises HeadwayError if the file
-    cannot be written or the gate has been closed."""
+    """Write a file by `write_durably` through a gate; None: without fencing.
+
+    Raises HeadwayError if the file cannot be written or the gate has been closed.
+    """
     try:
         write_durably(path, write, temporary_folder=gate)
     except HeadwayError as error:

@@ -1,4 +1,4 @@
-"""Summary index: one row per run, cached in SQLite beside the runs and derived from their folders alone.
+"""Summary index: one row per run, cached in SQLite in the store's root and derived from the run folders only.
 
 Each query compares the size and time of every `run.json` and `summary.json` with the stored ones and reads
 the changed files again. The index needs no repair: if it is lost, stale or corrupt, it is rebuilt.
@@ -75,8 +75,10 @@ class RunIndex:
         """One line for each run folder that could not be read at the last query."""
 
     def rows(self, study: str | None = None) -> list[RunRow]:
-        """Return all runs, or those of a study, oldest first. A run whose session process has ended counts as
-        KILLED."""
+        """Return all runs, or those of a study, oldest first.
+
+        A run whose session process has ended counts as KILLED.
+        """
         self.notices = []
         if not self.root.is_dir():
             return []

@@ -70,8 +70,10 @@ class RunLog:
             rows.clear()
 
     def rewind(self, iteration: int) -> None:
-        """Remove all segments newer than `iteration` and all rows not yet committed. Raises HeadwayError if
-        the gate has been closed."""
+        """Remove all segments newer than `iteration` and all rows not yet committed.
+
+        Raises HeadwayError if the gate has been closed.
+        """
         for rows in self._rows.values():
             rows.clear()
         for _, newer, path in _segments(self.directory):
@@ -83,12 +85,12 @@ class RunLog:
 def read(
     directory: Path, table: Table, after: int = -1, columns: Sequence[str] | None = None
 ) -> "pd.DataFrame":
-    """Return the committed rows of a table from segments newer than iteration `after`, sorted by `iteration`
-    (if that column exists), then in the order written. An empty frame if there are no rows.
+    """Return the committed rows of a table from segments newer than iteration `after`.
 
-    `columns`: columns to read, if they exist; None: all. Columns are float64, int64 (float64 if some rows
-    lack the column) or string, and may differ between segments. Raises HeadwayError if a segment cannot be
-    read.
+    They are sorted by `iteration` (if that column exists), then in the order written; without rows the frame
+    is empty. `columns`: columns to read, if they exist; None: all. Columns are float64, int64 (float64 if
+    some rows lack the column) or string, and may differ between segments. Raises HeadwayError if a segment
+    cannot be read.
     """
     import pandas as pd
 
@@ -102,8 +104,10 @@ def read(
 
 
 def read_rows(directory: Path, table: Table, after: int = -1) -> list[dict[str, float | int | str]]:
-    """Return the rows that `read` returns, without importing pandas: one mapping per row, without missing
-    values. Raises HeadwayError if a segment cannot be read."""
+    """Return the rows that `read` returns as mappings without missing values, without importing pandas.
+
+    Raises HeadwayError if a segment cannot be read.
+    """
     tables = _tables(directory, table, after)
     rows = [
         {column: value for column, value in row.items() if value is not None}

@@ -32,8 +32,11 @@ def _provenance(project: Path) -> tuple[tuple[str, str], ...]:
 
 
 def provenance(project: Path | None = None) -> dict[str, str]:
-    """Return package versions, the git revision of `project` (default: the current folder) and the hardware,
-    as tags of a run. Imports none of those packages; leaves out what cannot be determined."""
+    """Return package versions, git revision and hardware, as tags of a run.
+
+    `project`: folder of the git repository; default: the current one. Imports none of those packages; leaves
+    out what cannot be determined.
+    """
     return dict(_provenance((project or Path.cwd()).resolve()))
 
 

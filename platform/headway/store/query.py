@@ -61,8 +61,9 @@ def select(
     seed: int | Sequence[int] | None = None,
     newest: bool = False,
 ) -> "RunSelection":
-    """Select the runs in the store at `root` that pass all filters, oldest first. A filter is one value or
-    several; `newest`: keep only the last started run of each cell and seed.
+    """Select the runs in the store at `root` that pass all filters, oldest first.
+
+    A filter is one value or several; `newest`: keep only the last started run of each cell and seed.
 
     Raises HeadwayError if there is no store, or if no run has a given value (except for `status` and `seed`,
     which may match no run).
@@ -96,8 +97,10 @@ def select(
 
 
 def newest_runs(rows: Iterable[RunRow]) -> list[RunRow]:
-    """Keep the last of `rows`, sorted oldest first, of each study, cell and seed, so that a seed trained
-    twice counts once."""
+    """Keep the last run of each study, cell and seed, so that a seed trained twice counts once.
+
+    `rows` must be sorted oldest first.
+    """
     candidates = list(rows)
     newest = {(row.study, row.cell, row.seed): row for row in candidates}
     return [row for row in candidates if newest[row.study, row.cell, row.seed] is row]
@@ -105,8 +108,11 @@ def newest_runs(rows: Iterable[RunRow]) -> list[RunRow]:
 
 @dataclass(frozen=True)
 class RunSelection:
-    """Selected runs of a store. Each call reads its frame from disk; a frame without rows has only the
-    columns of `LABELS`. Methods raise HeadwayError if a file cannot be read."""
+    """Selected runs of a store.
+
+    Each call reads its frame from disk; a frame without rows has only the columns of `LABELS`. Methods raise
+    HeadwayError if a file cannot be read.
+    """
 
     root: Path
     rows: tuple[RunRow, ...]
@@ -117,13 +123,16 @@ class RunSelection:
         return cell_names(self.rows)
 
     def runs(self) -> "pd.DataFrame":
-        """One row per run: its columns in the index; no other file is read."""
+        """Return one row per run: its columns in the index; no other file is read."""
         columns = (*_ROW, "final_reward", "auc", "kwh", "kg_co2", "directory")
         return self._frame([{name: getattr(row, name) for name in columns} for row in self.rows])
 
     def summaries(self) -> "pd.DataFrame":
-        """One row per run: its index columns and its final summary (rewards, energy by component, CPU
-        seconds, source of the power readings). A missing value is NaN."""
+        """Return one row per run: its index columns and its final summary.
+
+        The summary contains rewards, energy by component, CPU seconds and the source of the power readings. A
+        missing value is NaN.
+        """
         rows = [
             {**{name: getattr(row, name) for name in _ROW}, **read_summary(Path(row.directory))}
             for row in self.rows
@@ -151,9 +160,11 @@ class RunSelection:
     def evaluations(
         self, metrics: Sequence[str] | None = None, mode: str | None = None, final: bool | None = None
     ) -> "pd.DataFrame":
-        """One row per evaluation episode: `iteration`, `env_steps`, `mode`, `final`, `episode_seed` and its
-        metrics. `mode`: `greedy` or `sampled` only; `final`: True: the last evaluation only, False: the
-        others only."""
+        """Return one row per evaluation episode.
+
+        Columns: `iteration`, `env_steps`, `mode`, `final`, `episode_seed` and the metrics. `mode`: `greedy`
+        or `sampled` only; `final`: True: the last evaluation only, False: the others only.
+        """
         labels = ("iteration", "env_steps", "mode", "final", "episode_seed")
         found = self._logs("evaluation", None if metrics is None else (*labels, *metrics))
         if mode is not None and len(found):
@@ -163,18 +174,24 @@ class RunSelection:
         return found.reset_index(drop=True)
 
     def episodes(self, metrics: Sequence[str] | None = None) -> "pd.DataFrame":
-        """One row per training episode: `iteration`, `env_steps`, `copy` and its metrics."""
+        """Return one row per training episode: `iteration`, `env_steps`, `copy` and its metrics."""
         labels = ("iteration", "env_steps", "copy")
         return self._logs("episodes", None if metrics is None else (*labels, *metrics))
 
     def energy(self) -> "pd.DataFrame":
-        """One row per sample: `time` (seconds since 1970) and the totals so far, over all sessions: `kwh` and
-        its components, `kg_co2`, `cpu_seconds`, `duration_s`. No rows for runs without energy measurement."""
+        """Return one row per energy sample: `time` (seconds since 1970) and the totals so far.
+
+        The totals are over all sessions: `kwh` and its components, `kg_co2`, `cpu_seconds`, `duration_s`.
+        Runs without energy measurement have no rows.
+        """
         return self._read_runs(read_energy)
 
     def rules(self) -> "pd.DataFrame":
-        """One row per episode of a classical rule stored beside these runs: `task`, `rule`, `episode_seed`
-        and its metrics. An episode stored by several cells of a task appears once."""
+        """Return one row per episode of a classical rule, as stored with the runs' cells.
+
+        Columns: `task`, `rule`, `episode_seed` and the metrics. An episode stored by several cells of a task
+        appears once.
+        """
         import pandas as pd
 
         rows: list[dict[str, Any]] = []

@@ -56,8 +56,10 @@ class Process:
 
 
 def status_of_all(statuses: Iterable[Status]) -> Status:
-    """Return the status of a cell from those of its ended runs: FAILED if any failed, FINISHED if all
-    finished, else KILLED."""
+    """Return the status of a cell from those of its ended runs.
+
+    FAILED if any failed, FINISHED if all finished, else KILLED.
+    """
     distinct = set(statuses)
     if "FAILED" in distinct:
         return "FAILED"
@@ -113,7 +115,7 @@ class RunRecord:
         return settled(self.status, self.session)
 
     def require_free(self) -> None:
-        """Raise HeadwayError if a session process runs it, or if one on another host may."""
+        """Raise HeadwayError if a session process is running it, or may be on another host."""
         if self.settled_status != "RUNNING":
             return
         killed = ', or, if it was killed, set "status": "KILLED" in the run\'s run.json'
@@ -154,13 +156,18 @@ def milliseconds(moment: str) -> int:
 
 def cell_name(environment: str, algorithm: str, parameters: Mapping[str, str]) -> str:
     """Return the key of a cell: readable, with a hash of the parameters."""
-    digest = sha256(dumps(sorted(parameters.items())).encode()).hexdigest()[:6]
+    from headway.registry import hashed_parameters
+
+    first = hashed_parameters(algorithm, parameters)
+    digest = sha256(dumps(sorted(first.items())).encode()).hexdigest()[:6]
     return f"{_slug(environment)}-{_slug(algorithm)}-{digest}"
 
 
 def create_run_folder(root: Path, study: str, cell: str, seed: int) -> tuple[str, Path]:
-    """Create a run folder in `root/study` and return (run_id, folder). Raises HeadwayError if it cannot be
-    created."""
+    """Create a run folder in `root/study` and return (run_id, folder).
+
+    Raises HeadwayError if it cannot be created.
+    """
     parent = root / _slug(study)
     make_folder(parent)
     while True:

@@ -38,8 +38,11 @@ _CLOSE_SECONDS = 120.0
 
 
 class SessionStore:
-    """Writer of the store for one session. Run folders are written immediately and durably; a thread sends
-    copies to MLflow, and its failures become notices and never end a run."""
+    """Writer of the store for one session.
+
+    Run folders are written immediately and durably; a thread sends copies to MLflow, and its failures become
+    notices and never end a run.
+    """
 
     def __init__(self, config: StoreConfig) -> None:
         self.root = Path(config.root).resolve()
@@ -50,8 +53,10 @@ class SessionStore:
 
     @classmethod
     def open(cls, config: StoreConfig) -> Self:
-        """Open or create the store. Raises HeadwayError if its root cannot be written or a given tracking URI
-        does not respond."""
+        """Open or create the store.
+
+        Raises HeadwayError if its root cannot be written or a given tracking URI does not respond.
+        """
         store = cls(config)
         if config.tracking_uri is not None:
             store._mlflow.connect()
@@ -65,13 +70,16 @@ class SessionStore:
         parameters: Mapping[str, object],
         tags: Mapping[str, str] | None = None,
     ) -> "Cell":
-        """Return a cell of a study. `parameters` (flat, dotted names) are the same for all its seeds; every
-        run gets `tags` and the tags of `provenance`."""
+        """Return a cell of a study.
+
+        `parameters` (flat, dotted names) are the same for all its seeds; every run gets `tags` and the tags
+        of `provenance`.
+        """
         texts = {name: str(value) for name, value in parameters.items()}
         return Cell(self, study, environment, algorithm, texts, {**provenance(), **(tags or {})})
 
     def resume(self, run_id: str, stacked: bool = False) -> "Run":
-        """Reopen a killed or failed run and close it to its former training process.
+        """Reopen a killed or failed run and prevent its former training process from writing to it.
 
         `stacked`: allow a finished run, because other seeds of its stack may not have finished. Raises
         HeadwayError if there is no such run, it has finished, or another session runs it.
@@ -108,8 +116,10 @@ class SessionStore:
         self._mlflow.submit(task)
 
     def close(self, seconds: float = _CLOSE_SECONDS) -> tuple[str, ...]:
-        """Wait, at most `seconds`, until MLflow is up to date, runs of earlier sessions included; return the
-        last notices."""
+        """Wait, at most `seconds`, until MLflow is up to date; return the last notices.
+
+        Runs of earlier sessions are included.
+        """
         if unsent_runs(self.root, self.tracking_uri):
             self.submit(TrackingTask(self._send_unsent, lambda: None, self._send_unsent))
         self._mlflow.close(seconds)
@@ -148,8 +158,11 @@ class Cell:
         preset: str = "",
         candidate: str = "",
     ) -> "Run":
-        """Create a run with a budget of `iterations`. Its folder is complete on return, ready for a training
-        process. Raises HeadwayError if it cannot be written."""
+        """Create a run with a budget of `iterations`.
+
+        Its folder is complete on return, ready for a training process. Raises HeadwayError if it cannot be
+        written.
+        """
         run_id, directory = create_run_folder(self._store.root, self._study, self.name, seed)
         record = RunRecord(
             run_id=run_id,
@@ -174,8 +187,10 @@ class Cell:
         return Run(self._store, directory, record, open_gate(directory))
 
     def keep_rules(self, episodes: Mapping[str, Sequence[Row]]) -> None:
-        """Store the evaluation episodes of classical rules beside the cell's runs: rule name -> one row per
-        episode. Rules stored by earlier sessions stay, unless `episodes` replaces them."""
+        """Store the evaluation episodes of classical rules for the cell: rule name -> one row per episode.
+
+        Rules stored by earlier sessions stay, unless `episodes` replaces them.
+        """
         if not episodes:
             return
         path = rules_file(self._store.root, self._study, self.name)
@@ -194,8 +209,10 @@ class Cell:
 
 
 class Run:
-    """Session side of one seed's run. The training process writes the log and the checkpoints in `directory`,
-    through `gate`."""
+    """Session side of one seed's run.
+
+    The training process writes the log and the checkpoints in `directory`, through `gate`.
+    """
 
     def __init__(self, store: SessionStore, directory: Path, record: RunRecord, gate: Path) -> None:
         self.directory, self.gate = directory, gate
@@ -217,8 +234,10 @@ class Run:
         self._rows.extend(rows)
 
     def durable(self, iteration: int) -> None:
-        """Record that the training process has made everything up to `iteration` durable. Raises HeadwayError
-        if the record cannot be written."""
+        """Record that the training process has made everything up to `iteration` durable.
+
+        Raises HeadwayError if the record cannot be written.
+        """
         ready = [row for row in self._rows if int(row.get("iteration", 0)) <= iteration]
         self._rows = [row for row in self._rows if int(row.get("iteration", 0)) > iteration]
         durable_rows = ready
@@ -237,8 +256,11 @@ class Run:
         self._submit(lambda tracker: self._sync.advance(tracker, ready, iteration))
 
     def note_restart(self, iteration: int) -> None:
-        """Tag the run as resumed without snapshots: its episodes restarted after `iteration`, so its curves
-        differ from those of an uninterrupted run. Raises HeadwayError if the record cannot be written."""
+        """Tag the run as resumed without snapshots, with new episodes after `iteration`.
+
+        Its curves differ from those of an uninterrupted run. Raises HeadwayError if the record cannot be
+        written.
+        """
         before = self.record.tags.get(EPISODES_RESTARTED)
         after = f"{before}, {iteration}" if before else str(iteration)
         self.record = replace(self.record, tags={**self.record.tags, EPISODES_RESTARTED: after})
@@ -246,8 +268,10 @@ class Run:
         self._submit(lambda tracker: self._sync.tag(tracker, EPISODES_RESTARTED, after))
 
     def energy(self, sample: Row) -> None:
-        """Add one energy sample of this run (a row of `energy.parquet`): the totals so far, earlier sessions
-        included (see `energy_so_far`)."""
+        """Add one energy sample of this run, a row of `energy.parquet`.
+
+        Its values are the totals so far, earlier sessions included (see `energy_so_far`).
+        """
         self._energy.append(sample)
 
     @property
@@ -256,9 +280,11 @@ class Run:
         return self._energy.last()
 
     def finish(self, status: Status, summary: Mapping[str, float | int | str | None]) -> None:
-        """End the run, after its training process: close its gate and write its summary (`final_reward`,
-        `auc`, `kwh`, `kg_co2`, ...; None: unknown), its views and its status. Raises HeadwayError if they
-        cannot be written or the log cannot be read."""
+        """End the run after its training process: close its gate, then write summary, views and status.
+
+        `summary`: `final_reward`, `auc`, `kwh`, `kg_co2`, ...; None: unknown. Raises HeadwayError if the
+        files cannot be written or the log cannot be read.
+        """
         close_gates(self.directory)
         self._energy.write()
         write_json(self.directory / SUMMARY, summary)

@@ -41,12 +41,12 @@ from headway.rollout.workers.shared_memory import give_back_memory
 from headway.rollout.workers.usage import OwnUsage
 from headway.store.checkpoint import (
     checkpoint_bytes,
-    load_to_go_on,
-    remove_experience,
+    load_for_resume,
+    remove_replay,
     write_checkpoint,
-    write_experience,
+    write_replay,
 )
-from headway.store.checkpoint_fit import require_fitting
+from headway.store.checkpoint_shapes import require_same_shapes
 from headway.store.parquet_log import RunLog
 from headway.store.run_folder import CHECKPOINTS
 from headway.training.modes import AsynchronousMode, Mode, SynchronousMode
@@ -63,7 +63,7 @@ class TrainingJob:
     prepared: Any
     """Result of the environment entry's `prepare` for the evaluation environment."""
     spec: EnvSpec
-    """Specification of the training environment."""
+    """Specification of the training environment, with actions in the units of the policies."""
     make_policy: Callable[[Any, EnvSpec], ActingPolicy]
     """The algorithm entry's `acting_policy`."""
     make_learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner]
@@ -168,7 +168,7 @@ class _Training:
             self._checkpoint()
         if self.iteration >= total:
             # Not part of the last checkpoint: an earlier session may have died just after writing that.
-            remove_experience(self.job.checkpoints[0], self.job.gate_paths[0])
+            remove_replay(self.job.checkpoints[0], self.job.gate_paths[0])
         stopped = self.iteration < total
         self.report(Finished(self.iteration, stopped, self._usage(), self.store_s))
 
@@ -253,21 +253,21 @@ class _Training:
         began = time.monotonic()
         learner = self.learner
         unfinished = self.iteration < self.config.iterations
-        experience = learner.experience() if isinstance(learner, LearnerWithReplay) and unfinished else None
+        replay = learner.replay_state() if isinstance(learner, LearnerWithReplay) and unfinished else None
         state = {
             "learner": self.learner.state_dict(),
             "acting": self.learner.acting_parameters(),
             "snapshots": self.backend.snapshot(),
             "iteration": self.iteration,
             "seconds": self.seconds_before + time.monotonic() - self.started,
-            "has_experience": experience is not None,
+            "has_experience": replay is not None,
         }
         for log in self.logs:
             log.commit(self.iteration)
         content = checkpoint_bytes(state)
-        if experience is not None:
-            kept = checkpoint_bytes(experience)
-            write_experience(self.job.checkpoints[0], self.iteration, kept, self.job.gate_paths[0])
+        if replay is not None:
+            kept = checkpoint_bytes(replay)
+            write_replay(self.job.checkpoints[0], self.iteration, kept, self.job.gate_paths[0])
         for directory, gate in zip(self.job.checkpoints, self.job.gate_paths, strict=True):
             write_checkpoint(directory, self.iteration, content, gate)
         self.saved_iteration = self.iteration
@@ -275,17 +275,17 @@ class _Training:
         self.report(CheckpointSaved(self.iteration))
 
     def _resume(self) -> None:
-        iteration, state, notices = load_to_go_on(*self.job.checkpoints)
+        iteration, state, notices = load_for_resume(*self.job.checkpoints)
         for line in notices:
             self.report(Notice(line))
         job, policy = self.job, self.job.make_policy(self.job.algo_config, self.job.spec)
         folder = Path(job.directories[0])
-        require_fitting(state["acting"], policy, len(job.seeds), self.config.env.id, folder)
+        require_same_shapes(state["acting"], policy, len(job.seeds), self.config.env.id, folder)
         self.iteration = self.saved_iteration = iteration
         self.seconds_before = state["seconds"]
         self.learner.load_state_dict(state["learner"])
-        if isinstance(self.learner, LearnerWithReplay) and state["experience"] is not None:
-            self.learner.load_experience(state["experience"])
+        if isinstance(self.learner, LearnerWithReplay) and state["replay"] is not None:
+            self.learner.load_replay_state(state["replay"])
         if not self.mode.deterministic:
             line = "workers' contributions are applied in order of arrival, which differs from run to run"
             self.report(

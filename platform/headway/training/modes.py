@@ -1,6 +1,5 @@
 """Training modes: synchronous (sample, then learn) and asynchronous (apply contributions as they arrive)."""
 
-import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -71,12 +70,10 @@ class AsynchronousMode:
     iteration reports `staleness/mean` and `staleness/max`.
     """
 
-    def __init__(
-        self, learner: AsynchronousLearner, contributors: Contributors, iterations: int | None = None
-    ) -> None:
-        """`iterations` is the budget, after which no more tasks are assigned; None: no limit."""
+    def __init__(self, learner: AsynchronousLearner, contributors: Contributors, iterations: int) -> None:
+        """`iterations` is the budget, after which no more tasks are assigned."""
         self.learner, self.contributors = learner, contributors
-        self.budget = math.inf if iterations is None else iterations * contributors.number
+        self.budget = iterations * contributors.number
         """Contributions of the whole run."""
         self.deterministic = learner.in_turns or contributors.in_turns
 

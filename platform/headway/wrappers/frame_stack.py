@@ -7,8 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, BatchedWrapper, ObservationBounds, Observations, StepResult
-from headway.wrappers.batch import BatchWrapper
+from headway.contracts import (
+    BatchedEnv,
+    BatchedWrapper,
+    BatchWrapper,
+    ObservationBounds,
+    Observations,
+    StepResult,
+)
 
 
 @dataclass(frozen=True)
@@ -31,8 +37,8 @@ class FrameStackBatch(BatchWrapper):
     """Stacks of F frames: observations (C, N, F x D).
 
     Frames before the first one of an agent's stream are zeros (frame_stack_v1) or the first one repeated
-    (frame_stack_v2, `repeat_first`), also when a new agent takes a slot. Rows of absent agents are stacked as
-    they are: they must be finite if those agents come back.
+    (frame_stack_v2, `repeat_first`), also when a new agent takes a slot. Rows of absent agents are stacked
+    unchanged: they must be finite if those agents return.
     """
 
     def __init__(self, inner: BatchedEnv, size: int, repeat_first: bool = False) -> None:

@@ -1,5 +1,7 @@
-"""Elementwise changes of observations: SuperSuit's agent_indicator_v0, normalize_obs_v0, dtype_v0 and
-flatten_v0 in batched form."""
+"""Elementwise changes of observations, in batched form.
+
+They are SuperSuit's agent_indicator_v0, normalize_obs_v0, dtype_v0 and flatten_v0.
+"""
 
 import re
 from collections.abc import Callable
@@ -12,12 +14,12 @@ from numpy.typing import NDArray
 from headway.contracts import (
     BatchedEnv,
     BatchedWrapper,
+    BatchWrapper,
     HeadwayError,
     ObservationBounds,
     Observations,
     StepResult,
 )
-from headway.wrappers.batch import BatchWrapper
 
 Floats = NDArray[np.float32]
 _TYPE_AND_NUMBER = re.compile(r"([a-z]+)_[0-9]+.*")
@@ -66,10 +68,10 @@ class NoArguments:
 
 
 class ChangedObservations(BatchWrapper):
-    """Changes each observation by a function of its values alone.
+    """Changes each observation by a function of its own values.
 
     `write(observations, out)` fills `out` (C, N, size) from `observations` (C, N, D). Rows of absent agents
-    may hold anything before and after. `write` must be picklable.
+    are unspecified before and after. `write` must be picklable.
     """
 
     def __init__(self, inner: BatchedEnv, size: int, write: Callable[[Floats, Floats], None]) -> None:
@@ -80,7 +82,7 @@ class ChangedObservations(BatchWrapper):
         self._finals = np.zeros(shape, dtype=np.float32)
 
     def _begin(self, observed: Observations) -> Observations:
-        with np.errstate(all="ignore"):  # absent agents' rows may hold anything
+        with np.errstate(all="ignore"):  # absent agents' rows are unspecified
             self._write(observed.observations, self._observations)
         return replace(observed, observations=self._observations)
 

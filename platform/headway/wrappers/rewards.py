@@ -12,8 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, BatchedWrapper, ObservationBounds, Observations, StepResult
-from headway.wrappers.batch import BatchWrapper
+from headway.contracts import (
+    BatchedEnv,
+    BatchedWrapper,
+    BatchWrapper,
+    ObservationBounds,
+    Observations,
+    StepResult,
+)
 
 
 @dataclass(frozen=True)
@@ -93,8 +99,7 @@ def batched_scale_reward(arguments: ScaleReward, bounds: ObservationBounds) -> B
 
 
 def scale_reward(env: Any, arguments: ScaleReward) -> Any:  # noqa: ANN401 - PettingZoo comes without types
-    """Return a ParallelEnv with every reward multiplied by `scale`, after rounding to float32 as in
-    batches."""
+    """Return a ParallelEnv with every reward rounded to float32, as in batches, and multiplied by `scale`."""
     import supersuit
 
     return supersuit.reward_lambda_v0(env, lambda reward: float(np.float32(reward)) * arguments.scale)

@@ -69,8 +69,10 @@ class Wrapped:
 
 
 def make_wrapped(wrapped: Wrapped, copies: int) -> BatchedEnv:
-    """Return the wrapped environment: `EnvEntry.make` of wrapped entries, at the top level so that it
-    pickles."""
+    """Return the wrapped environment: `EnvEntry.make` of wrapped entries.
+
+    At the top level of the module, so that it can be pickled.
+    """
     return wrapped.batch(copies)
 
 
@@ -156,6 +158,7 @@ def _prepare(
 ) -> Wrapped:
     """Apply the wrappers. Raises HeadwayError if one cannot be applied."""
     bounds = _native_bounds(name, entry, prepared) if wrappers else None
+    own_notices = tuple(getattr(prepared, "notices", ()))
     parallel, unbatched, shows_native = None, "", True
     batched: list[BatchedWrapper] = []
     for index, wrapper in enumerate(wrappers):
@@ -176,15 +179,16 @@ def _prepare(
         bounds, shows_native = bounds_of(env), _has_native(env)
         env.close()
     if parallel is None:
-        return Wrapped(name, prepared, entry.make, None, None, tuple(batched))
+        return Wrapped(name, prepared, entry.make, None, None, tuple(batched), notices=own_notices)
     options, notices = _adapter_options(name, entry, prepared, unbatched)
+    notices = (*own_notices, *notices)
     return Wrapped(name, prepared, entry.make, parallel, options, tuple(batched), shows_native, notices)
 
 
 def _native_bounds(name: str, entry: EnvEntry, prepared: object) -> ObservationBounds | None:
     """Return the bounds of the unwrapped environment's observations.
 
-    Infinite if it has no ParallelEnv to ask; None if its agents do not observe one vector alike.
+    Infinite if it has no ParallelEnv; None unless all agents observe one vector within the same bounds.
     """
     if entry.parallel_env is None:
         env = entry.make(prepared, 1)
@@ -232,7 +236,7 @@ def _options_of(spec: EnvSpec) -> AdapterOptions:
 
 
 def _rule_behind(name: str, own: RuleEntry) -> RuleEntry:
-    """Return the entry of a rule that is played behind wrappers."""
+    """Return the entry of a rule that plays a wrapped environment."""
 
     def make_behind(wrapped: Wrapped) -> Rule:
         rule = own.make(wrapped.prepared)
@@ -248,7 +252,7 @@ def _rule_behind(name: str, own: RuleEntry) -> RuleEntry:
 
 @dataclass(frozen=True)
 class RuleBehindWrappers:
-    """A rule of an environment that has wrappers around it."""
+    """A rule that plays a wrapped environment but inspects the environment behind the wrappers."""
 
     rule: Rule
     """The environment's own rule."""

@@ -39,7 +39,7 @@ def _learner(
     """A learner with nonzero biases and a used normaliser, and its acting policy."""
     spec = spec or _spec(algorithm)
     entry, model = ENTRIES[algorithm], NetworkConfig((8, 7), "relu")
-    config = entry.config(policies=policies, precision=precision, model=model)
+    config = entry.config(policies=policies, agent_id=False, precision=precision, model=model)
     learner = OffPolicyLearner(config, spec, seeds, "cpu", METHODS[algorithm])
     random = torch.Generator().manual_seed(0)
     with torch.no_grad():
@@ -259,7 +259,9 @@ def test_exploration_follows_its_schedule() -> None:
     assert [round(linear.exploration(p, 7), 12) for p in (0, 0.1, 0.2, 0.4, 1)] == [0.9, 0.7, 0.5, 0.1, 0.1]
     at_once = replace(linear, exploration_share=0.0)
     assert at_once.exploration(0, 0) == 0.1
-    exponential = replace(linear, exploration_decay_steps=1000.0)
+    with pytest.raises(ValueError, match="exploration_share or exploration_decay_steps, not both"):
+        replace(linear, exploration_decay_steps=1000.0)
+    exponential = MADQNConfig(exploration_start=0.9, exploration_end=0.1, exploration_decay_steps=1000.0)
     assert exponential.exploration(0.9, 0) == pytest.approx(0.9)
     assert exponential.exploration(0.9, 1000) == pytest.approx(0.1 + 0.8 / np.e)
     assert exponential.exploration(0.0, 10**6) == pytest.approx(0.1)

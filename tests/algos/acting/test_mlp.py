@@ -9,22 +9,27 @@ import torch
 from covering import pairwise
 from numpy.typing import NDArray
 
-from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations, generator
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, MultiDiscrete, Observations, generator
 from headway_algos.acting.mlp import MLPActingPolicy
-from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.config import ModelConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.registry import configure
 
 AGENTS, COPIES, SIZE = 5, 6, 3
 Policies = Literal["independent", "shared", "groups"]
 Precision = Literal["float32", "float64"]
-SPACES: dict[str, ActionSpace] = {"discrete": Discrete(4), "box": Box((-1.0, -1.0), (1.0, 1.0))}
+SPACES: dict[str, ActionSpace] = {
+    "discrete": Discrete(4),
+    "several": MultiDiscrete((2, 3, 1)),
+    "box": Box((-1.0, -1.0), (1.0, 1.0)),
+}
 
 
 def _spec(space: ActionSpace, come_and_go: bool = False) -> EnvSpec:
     return EnvSpec(
         "made", tuple(f"a{i}" for i in range(AGENTS)), SIZE, space,
         groups=("x", "y", "x", "z", "x"),
-        has_action_mask=isinstance(space, Discrete),
+        has_action_mask=not isinstance(space, Box),
         agents_come_and_go=come_and_go,
     )  # fmt: skip
 
@@ -35,6 +40,10 @@ def _observed(spec: EnvSpec, copies: int, seed: int = 0) -> Observations:
     if isinstance(spec.action_space, Discrete):
         masks = draw.random((copies, AGENTS, spec.action_space.n)) < 0.6
         masks[..., 1] |= ~masks.any(axis=-1)
+    if isinstance(spec.action_space, MultiDiscrete):
+        masks = draw.random((copies, AGENTS, 6)) < 0.6
+        for choice, last in ((slice(0, 2), 1), (slice(2, 5), 4), (slice(5, 6), 5)):
+            masks[..., last] |= ~masks[..., choice].any(axis=-1)
     return Observations(
         (3 * draw.standard_normal((copies, AGENTS, SIZE))).astype(np.float32),
         np.zeros((copies, 0), np.float32),
@@ -53,7 +62,14 @@ def _learner(
 ) -> tuple[OnPolicyLearner, MLPActingPolicy]:
     """Policies far from uniform, with a used normaliser."""
     model = ModelConfig(hidden=(8, 7), activation=activation, actor_gain=1.5)
-    config = AlgoConfig(policies=policies, model=model, precision=precision, normalise_observations=normalise)
+    config = configure(
+        "custom",
+        policies=policies,
+        agent_id=False,
+        model=model,
+        precision=precision,
+        normalise_observations=normalise,
+    )
     learner = OnPolicyLearner(config, spec, seeds, "cpu")
     random = torch.Generator().manual_seed(0)
     with torch.no_grad():
@@ -166,6 +182,30 @@ def test_frequencies_of_sampled_actions_are_the_probabilities() -> None:
             assert frequency == 0
 
 
+def test_frequencies_of_several_choices_are_the_joint_probabilities() -> None:
+    """Choices are drawn independently, each among its allowed options."""
+    spec, draws = _spec(SPACES["several"]), 40_000
+    learner, acting = _learner(spec, "shared", "float64", (0,))
+    one = _observed(spec, 1)
+    assert one.action_masks is not None
+    many = Observations(
+        np.repeat(one.observations, draws, axis=0),
+        np.zeros((draws, 0), np.float32),
+        np.ones((draws, AGENTS), np.bool_),
+        np.repeat(one.action_masks, draws, axis=0),
+    )
+    actions, _ = acting.act(learner.acting_parameters(), many, acting.noise(generator(0, "action"), draws))
+    assert actions.shape == (draws, AGENTS, 3)
+    for agent, (i, j) in product(range(AGENTS), product(range(2), range(3))):
+        asked = np.broadcast_to(np.array([i, j, 0]), (1, AGENTS, 3)).copy()
+        p = float(np.exp(_torch_log_probs(learner, one, asked)[0, agent]))
+        frequency = float((actions[:, agent, :2] == (i, j)).all(axis=-1).mean())
+        if one.action_masks[0, agent, i] and one.action_masks[0, agent, 2 + j]:
+            assert abs(frequency - p) < 5 * np.sqrt(p * (1 - p) / draws) + 1e-9
+        else:
+            assert frequency == 0
+
+
 @pytest.mark.parametrize("uniform", [0.0, 0.5, 1 - 2**-53])
 def test_forbidden_actions_are_never_sampled_at_the_edges_of_the_uniform(uniform: float) -> None:
     spec = _spec(SPACES["discrete"])
@@ -234,7 +274,7 @@ def test_rows_of_absent_agents_affect_no_other_and_stay_unchanged(
 def test_a_single_agents_observations_are_not_modified() -> None:
     """One agent: rows by policy are a view of the environment's array."""
     spec = EnvSpec("made", ("only",), SIZE, Discrete(2), agents_come_and_go=True)
-    config = AlgoConfig(model=ModelConfig(hidden=(4,)))
+    config = configure("custom", model=ModelConfig(hidden=(4,)))
     learner, acting = OnPolicyLearner(config, spec, (0,), "cpu"), MLPActingPolicy.of(config, spec)
     observations = np.full((2, 1, SIZE), np.nan, np.float32)
     observed = Observations(observations, np.zeros((2, 0), np.float32), np.zeros((2, 1), np.bool_))

@@ -4,7 +4,7 @@ import numpy as np
 
 from headway.contracts import Discrete, EnvSpec, Trajectory, TrajectoryLayout
 from headway_algos.batches.critic_batch import CriticBatch
-from headway_algos.batches.layout import Truncations
+from headway_algos.batches.stream_ends import Truncations
 
 SPEC = EnvSpec("made", ("stays", "leaves", "left", "away", "joins"), 1, Discrete(2), agents_come_and_go=True)
 STAYS, LEAVES, LEFT, AWAY, JOINS = range(5)

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import Discrete, EnvSpec, Trajectory, TrajectoryLayout, generator
-from headway_algos.batches import layout
-from headway_algos.batches.layout import Layout, Piece, Truncations, minibatches, zero_where_absent
+from headway_algos.batches import minibatches as minibatches_module
+from headway_algos.batches.layout import Layout, zero_where_absent
+from headway_algos.batches.minibatches import Piece, minibatches
+from headway_algos.batches.stream_ends import Truncations
 from headway_algos.grouping import Grouping
 
 SPEC = EnvSpec("made", tuple("abcdef"), 3, Discrete(2), state_size=2, groups=tuple("xyxzxz"))
@@ -219,7 +221,7 @@ def test_prefetched_rows_equal_those_of_each_minibatch(
     selected = np.random.default_rng(4).random((3, 40)) < [[0.9], [0.5], [0.05]]
     rows = [torch.from_numpy(np.random.default_rng(5).normal(size=(3, 40, *more))) for more in ((2,), ())]
     generators = [generator(p, "test") for p in range(3)]
-    monkeypatch.setattr(layout, "PREFETCH_SAMPLES", 3 * 9 * 3)
+    monkeypatch.setattr(minibatches_module, "PREFETCH_SAMPLES", 3 * 9 * 3)
     ahead = 0
     for pieces, _ in minibatches(selected, generators, 2, 4, 3 * piece_rows, _layout("shared")):
         for piece in pieces:

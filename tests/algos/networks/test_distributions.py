@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.distributions import Categorical, Independent, Normal, kl_divergence
 
-from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
+from headway_algos.networks.distributions import CategoricalProduct, DiagonalGaussian, MaskedCategorical
 
 P, A, B = 3, 5, 40
 DTYPES = [torch.float32, torch.float64]
@@ -126,3 +126,53 @@ def test_gaussian_equals_torch(dtype: torch.dtype) -> None:
             strict=True,
         ):
             _close(a, b)
+
+
+NVEC = (2, 3)
+
+
+def _joint(logits: Tensor, masks: Tensor | None) -> Any:  # noqa: ANN401 - torch leaves its methods untyped
+    """The categorical over all 6 joint actions (i, j), in the order 3 i + j."""
+    if masks is not None:
+        logits = logits.masked_fill(~masks.transpose(1, 2), -200.0)
+    first, second = logits[:, :2], logits[:, 2:]
+    return Categorical(logits=(first[:, :, None] + second[:, None]).flatten(1, 2).transpose(1, 2))
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_product_of_categoricals_equals_the_categorical_of_joint_actions(masked: bool) -> None:
+    """Values, gradients, the Fisher information and the scores of drawn actions."""
+    random = torch.Generator().manual_seed(2)
+    new, old = (torch.randn(P, 5, B, generator=random, dtype=torch.float64) for _ in range(2))
+    masks = None
+    if masked:
+        masks = torch.rand(P, B, 5, generator=random) < 0.6
+        masks[..., 1] |= ~masks[..., :2].any(-1)
+        masks[..., 4] |= ~masks[..., 2:].any(-1)
+    new.requires_grad_()
+    ours, theirs = CategoricalProduct.of_logits(new, masks, NVEC), _joint(new, masks)
+    ours_old, theirs_old = CategoricalProduct.of_logits(old, masks, NVEC), _joint(old, masks)
+    drawn = theirs.sample()
+    actions = torch.stack([drawn // 3, drawn % 3], dim=-1)
+    kl = kl_divergence(theirs_old, theirs)
+    pairs = [
+        (ours.log_prob(actions), theirs.log_prob(drawn)),
+        (ours.entropy(), theirs.entropy()),
+        (ours.kl_from(ours_old), kl),
+    ]
+    for mine, torchs in pairs:
+        _close(mine, torchs)
+        [one], [other] = (torch.autograd.grad(x.sin().sum(), new, retain_graph=True) for x in (mine, torchs))
+        _close(one, other)
+    # The Fisher information is the second derivative of KL(pi || pi').
+    direction = torch.randn(new.shape, generator=random, dtype=torch.float64)
+    own = _joint(new.detach(), masks)
+    [slope] = torch.autograd.grad(kl_divergence(own, _joint(new, masks)).sum(), new, create_graph=True)
+    [product] = torch.autograd.grad((slope * direction).sum(), new)
+    _close(ours.detach().fisher_of_outputs(direction), product)
+    # The score of the actions that uniforms draw: of the first option whose distribution function exceeds it.
+    uniforms = torch.rand(P, B, 2, generator=random, dtype=torch.float64)
+    by_choice = [c.log_probs.exp().cumsum(1).transpose(1, 2) for c in ours.choices]
+    picked = [(c <= uniforms[..., i, None]).sum(-1) for i, c in enumerate(by_choice)]
+    [score] = torch.autograd.grad(_joint(new, masks).log_prob(3 * picked[0] + picked[1]).sum(), new)
+    _close(ours.detach().drawn_score(uniforms), score)

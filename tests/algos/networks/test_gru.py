@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 import torch
-from covering import pairwise
+from covering import pairwise, quick_or_slow
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -19,13 +19,14 @@ from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.networks.actor import Actor
-from headway_algos.networks.gru import RecurrentNetwork, make_network
+from headway_algos.networks.gru import RecurrentNetwork
+from headway_algos.networks.network import make_network
 from headway_algos.networks.timeline import Timeline
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.updates.trpo import TRPO
 from headway_algos.optim.fisher import double_backward, unflat
-from headway_algos.registry import ENTRIES
+from headway_algos.registry import ENTRIES, configure
 from headway_envs.toy.visitors import Visitors, VisitorsConfig
 
 Fabricate = Callable[..., Trajectory]
@@ -33,8 +34,8 @@ Poison = Callable[[Trajectory], Trajectory]
 UNITS, LENGTH = 5, 3
 GRU = ModelConfig(hidden=(6,), core="gru", gru_size=UNITS, sequence_length=LENGTH, actor_gain=1.0)
 SETTINGS: dict[str, Any] = {
-    "model": GRU, "precision": "float64", "lr": 3e-3, "minibatches": 2, "epochs": 2, "kl_bound": 0.05,
-    "grad_clip": None,
+    "policies": "independent",
+    "model": GRU, "precision": "float64", "lr": 3e-3, "minibatches": 2, "epochs": 2, "grad_clip": None,
 }  # fmt: skip
 DISCRETE = EnvSpec(
     "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
@@ -43,10 +44,8 @@ TEAM = replace(DISCRETE, state_size=5, shared_reward=True)
 BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
 
 
-def named(name: str, **settings: Any) -> AlgoConfig:  # noqa: ANN401 - the record's fields
-    config = ENTRIES[name].config(**{**SETTINGS, **settings})
-    assert isinstance(config, AlgoConfig)
-    return config
+def named(name: str, **settings: Any) -> Any:  # noqa: ANN401 - any record
+    return configure(name, **{**SETTINGS, **settings})
 
 
 CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
@@ -57,11 +56,12 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "coma": (named("coma", target_every=2), DISCRETE),
     "coma team": (named("coma", target_every=2), TEAM),
     "ia2c": (named("ia2c"), BOX),
-    "itrpo": (named("itrpo", policies="groups"), DISCRETE),
+    "itrpo": (named("itrpo", policies="groups", kl_bound=0.05), DISCRETE),
     "happo": (named("happo"), BOX),
-    "hatrpo": (named("hatrpo"), TEAM),
+    "hatrpo": (named("hatrpo", kl_bound=0.05), TEAM),
 }
-every_case = pytest.mark.parametrize(("config", "spec"), CASES.values(), ids=CASES)
+QUICK = ("ippo groups box", "mappo others", "coma team", "hatrpo")
+every_case = pytest.mark.parametrize(("config", "spec"), quick_or_slow(CASES, *QUICK))
 
 
 def randomised(network: RecurrentNetwork, seed: int = 0) -> RecurrentNetwork:
@@ -127,8 +127,9 @@ def _plan(policies: str, precision: str, seeds: tuple[int, ...]) -> tuple[AlgoCo
     return config, RolloutPlan(Visitors, (), prepared, spec, policy, seeds, 4, 20, 2)
 
 
-@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize(
+    ("policies", "precision"), [("independent", "float64"), ("shared", "float32"), ("groups", "float64")]
+)
 def test_hidden_states_of_workers_equal_torch_along_whole_trajectories(policies: str, precision: str) -> None:
     """Every log-probability, by agent and step, over several iterations, with agents that come, go and retire
     and episodes of different lengths."""
@@ -381,12 +382,21 @@ def _splits(case: str) -> bool:
 
 @pytest.mark.parametrize(
     ("shared_until", "case"),
-    pairwise([0.0, 0.5], CASES, where=lambda until, case: not until or _splits(case)),
+    quick_or_slow(
+        {
+            f"{until}-{case}": (until, case)
+            for until, case in pairwise(
+                [0.0, 0.5], CASES, where=lambda until, case: not until or _splits(case)
+            )
+        },
+        "0.5-coma",
+        "0.0-happo",
+    ),
 )
 def test_training_resumed_from_a_state_is_exact(fabricate: Fabricate, shared_until: float, case: str) -> None:
     """Bit for bit, hidden states of critics included, also across the split of shared policies."""
     config, spec = CASES[case]
-    config = replace(config, shared_until=shared_until)
+    config = replace(config, shared_until=shared_until) if shared_until else config
     first, second = (ENTRIES["custom"].learner(config, spec, (3, 5), "cpu") for _ in range(2))
     tracks = [_joined([made(fabricate, spec, 7 * i + r, absent=0.2) for r in range(2)]) for i in range(4)]
     for i, track in enumerate(tracks[:2]):

@@ -35,7 +35,8 @@ DISCRETE = EnvSpec(
 )  # fmt: skip
 BOX = replace(DISCRETE, action_space=Box((-1.0, -2.0), (1.0, 2.0)), has_action_mask=False)
 COMMON: dict[str, Any] = {
-    "model": NetworkConfig((8,), "tanh"), "precision": "float64", "capacity": 60, "learning_starts": 5,
+    "policies": "independent", "model": NetworkConfig((8,), "tanh"), "precision": "float64", "capacity": 60,
+    "learning_starts": 5,
     "batch_size": 7, "updates": 4,
 }  # fmt: skip
 MADQN = MADQNConfig(**COMMON, target_every=3)
@@ -157,13 +158,13 @@ def test_training_resumed_from_a_checkpoint_is_exact(
     made = [fabricate(spec, 8, 6, seed=i, absent=0.3, idle=0.4) for i in range(4)]
     for iteration in (1, 2):
         first.update(made[iteration - 1], iteration, iteration / 4)
-    kept = first.experience()
+    kept = first.replay_state()
     assert len(kept["open"]["streams"]) > 0
     file = io.BytesIO()
     torch.save(first.state_dict(), file)
     file.seek(0)
     second.load_state_dict(torch.load(file, weights_only=True))
-    second.load_experience(kept)
+    second.load_replay_state(kept)
     for iteration in (3, 4):
         infos = [learner.update(made[iteration - 1], iteration, iteration / 4) for learner in (first, second)]
         for name in infos[0]:
@@ -316,6 +317,7 @@ def test_impossible_numbers_of_one_are_named(config: type[Any], wrong: dict[str,
         ("madqn", Box((-1.0,), (1.0,)), "madqn takes Discrete actions, .* made has Box ones; use algo=ddpg"),
         ("ddpg", Discrete(2), "ddpg takes Box actions, .* made has Discrete ones; use algo=madqn"),
         ("ddpg", Box((-1.0,), (np.inf,)), "ddpg takes bounded Box actions, .*algo=ippo"),
+        ("ddpg", Box((-3.4028235e38,), (3.4028235e38,)), "ddpg takes bounded Box actions, .*algo=ippo"),
     ],
 )
 def test_actions_of_the_other_kind_are_refused_in_one_line(name: str, space: ActionSpace, line: str) -> None:
@@ -338,7 +340,7 @@ def test_replay_bytes_are_predicted(
     learner, steps = _learner(config, spec, (1,)), 12 * 2
     for iteration in range(iterations):
         learner._store(fabricate(spec, 12, 2, seed=iteration))
-    real = sum(array.nbytes for array in learner.experience()["memory"]["arrays"].values())
+    real = sum(array.nbytes for array in learner.replay_state()["memory"]["arrays"].values())
     assert real == pytest.approx(
         ENTRIES[config.name].replay_bytes(config, spec, iterations * steps), rel=0.15
     )

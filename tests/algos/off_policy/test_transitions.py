@@ -16,12 +16,19 @@ GAMMA = 0.9
 SPEC = EnvSpec(
     "made", ("a", "b", "c"), 3, Discrete(4), has_action_mask=True, agents_come_and_go=True, snapshots=True
 )
+TEAM = replace(SPEC, shared_reward=True)
+TEAMS = replace(SPEC, shared_in_groups=True, groups=("x", "y", "x"))
 Row = tuple[int, NDArray[Any], Any, float, float, NDArray[Any], NDArray[np.bool_]]
 """stream, observation, action, return, discount, next observation, next mask"""
 
 
-def _walk(parts: list[Trajectory], n_step: int, stream: int, start: tuple[int, int]) -> Row | None:
-    """The transition of the decision at `start` (iteration, step), or None where it is not yet whole."""
+def _walk(
+    parts: list[Trajectory], n_step: int, stream: int, start: tuple[int, int], team: bool
+) -> Row | None:
+    """The transition of the decision at `start` (iteration, step), or None where it is not yet whole.
+
+    A team's return ends with the episode, for all of the team.
+    """
     agents = parts[0].rewards.shape[2]
     c, n = divmod(stream, agents)
     steps = [(i, t) for i, part in enumerate(parts) for t in range(len(part.rewards))]
@@ -38,14 +45,16 @@ def _walk(parts: list[Trajectory], n_step: int, stream: int, start: tuple[int, i
                 return stream, *taken, total, discount, part.observations[t, c, n], part.action_masks[t, c, n]
         total += discount * float(part.rewards[t, c, n])
         discount *= GAMMA
-        if part.terminated[t, c, n]:
+        if team and not (part.terminated[t, c] | part.truncated[t, c]).all():
+            continue
+        if part.terminated[t, c].all() if team else part.terminated[t, c, n]:
             return stream, *taken, total, 0.0, np.zeros(part.observations.shape[-1]), allowed
-        if part.truncated[t, c, n]:
+        if team or part.truncated[t, c, n]:
             return stream, *taken, total, discount, part.final_observations[t, c, n], allowed
     return None
 
 
-def _all_walks(parts: list[Trajectory], n_step: int) -> list[Row]:
+def _all_walks(parts: list[Trajectory], n_step: int, team: bool = False) -> list[Row]:
     _, copies, agents = parts[0].rewards.shape
     decided = [
         (c * agents + n, (i, t))
@@ -55,7 +64,7 @@ def _all_walks(parts: list[Trajectory], n_step: int) -> list[Row]:
         for t in range(len(part.rewards))
         if part.alive[t, c, n] and part.acting[t, c, n]
     ]
-    walked = (_walk(parts, n_step, stream, start) for stream, start in decided)
+    walked = (_walk(parts, n_step, stream, start, team) for stream, start in decided)
     return [row for row in walked if row is not None]
 
 
@@ -86,14 +95,18 @@ def _assert_same(got: list[Row], expected: list[Row]) -> None:
 
 @pytest.mark.parametrize("n_step", [1, 2, 5])
 @pytest.mark.parametrize("idle", [0.0, 0.6])
+@pytest.mark.parametrize("spec", [SPEC, TEAM, TEAMS], ids=["individual", "team", "teams"])
 def test_transitions_are_those_of_a_walk_along_each_stream(
-    fabricate: Fabricate, n_step: int, idle: float
+    fabricate: Fabricate, n_step: int, idle: float, spec: EnvSpec
 ) -> None:
     """Over three iterations, with agents absent, idle, truncated and terminated, singly and together."""
-    parts = [fabricate(SPEC, 7, 4, seed=i, absent=0.3, idle=idle, ends=0.1, leaves=0.05) for i in range(3)]
-    builder = TransitionBuilder(SPEC, GAMMA, n_step)
+    parts = [fabricate(spec, 7, 4, seed=i, absent=0.3, idle=idle, ends=0.1, leaves=0.05) for i in range(3)]
+    for part in parts:
+        part.truncated[6, 0], part.terminated[6, 0] = [True, False, False], [False, True, True]
+        part.terminated[5, 1], part.truncated[5, 1] = True, False
+    builder = TransitionBuilder(spec, GAMMA, n_step)
     made = [builder.transitions(part) for part in parts]
-    expected = _all_walks(parts, n_step)
+    expected = _all_walks(parts, n_step, team=spec is not SPEC)
     assert len(expected) > 30
     assert any(row[4] == 0 for row in expected)
     assert any(0 < row[4] < GAMMA**3 for row in expected)
@@ -128,7 +141,7 @@ def test_transitions_across_iterations_equal_those_of_one_long_iteration(fabrica
 
 
 def test_without_snapshots_transitions_end_with_the_iteration(fabricate: Fabricate) -> None:
-    """At the last observation; transitions of agents absent then are dropped, and none stays open."""
+    """At the agent's last observation, and none stays open."""
     spec = replace(SPEC, snapshots=False)
     made = fabricate(spec, 6, 5, seed=2, absent=0.3, idle=0.5, ends=0.0)
     builder = TransitionBuilder(spec, GAMMA, 1)
@@ -136,14 +149,22 @@ def test_without_snapshots_transitions_end_with_the_iteration(fabricate: Fabrica
     assert builder.state_dict() == {}
     walked = _all_walks([made], 1)
     assert len(transitions) > len(walked)
-    copies, agents = np.divmod(transitions.streams, 3)
-    last = (transitions.next_observations == made.observations[-1, copies, agents]).all(axis=1)
-    assert last.sum() == len(transitions) - len(walked)
-    assert made.alive[-1, copies[last], agents[last]].all()
-    np.testing.assert_array_equal(
-        transitions.next_masks[last], made.action_masks[-1, copies[last], agents[last]]
-    )
-    assert (transitions.discounts > 0).all()
+    assert len(transitions) == (made.alive[:-1] & made.acting).sum()
+    checked = 0
+    for i, stream in enumerate(transitions.streams.tolist()):
+        copy, agent = divmod(stream, 3)
+        decisions = np.flatnonzero(made.alive[:-1, copy, agent] & made.acting[:, copy, agent])
+        last = decisions[-1]
+        if (transitions.observations[i] != made.observations[last, copy, agent]).any():
+            continue
+        seen = np.flatnonzero(made.alive[:, copy, agent])[-1]
+        np.testing.assert_array_equal(transitions.next_observations[i], made.observations[seen, copy, agent])
+        np.testing.assert_array_equal(transitions.next_masks[i], made.action_masks[seen, copy, agent])
+        assert transitions.discounts[i] == pytest.approx(GAMMA ** (6 - last))
+        paid = (made.rewards[last:, copy, agent] * GAMMA ** np.arange(6 - last)).sum()
+        assert transitions.returns[i] == pytest.approx(paid, rel=1e-5)
+        checked += 1
+    assert checked == len(transitions) - len(walked)
 
 
 def test_open_decisions_are_kept_in_the_state(fabricate: Fabricate) -> None:

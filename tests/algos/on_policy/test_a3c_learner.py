@@ -19,18 +19,26 @@ from headway.rollout.workers.async_worker import AsynchronousPlan
 from headway.training.modes import AsynchronousMode
 from headway_algos.config import ModelConfig
 from headway_algos.on_policy.a3c_learner import A2CContributor, AsynchronousA2CLearner
-from headway_algos.recipes.a3c import A3CConfig
-from headway_algos.registry import ENTRIES
+from headway_algos.registry import ENTRIES, configure
 from headway_envs.toy.entry import ENTRIES as TOYS
 
 DOUBLE = torch.float64
 DISCRETE = EnvSpec("made", ("a", "b", "c"), 3, Discrete(3), has_action_mask=True, agents_come_and_go=True)
 BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
-CONFIG = A3CConfig(
-    model=ModelConfig(hidden=(6,), actor_gain=0.5), precision="float64", lr=1e-2, critic_lr=3e-3, lr_end=0.5,
-    entropy_coeff=0.3, grad_clip=0.2, normalise_advantages=False, normalise_observations=False,
+CONFIG = configure(
+    "a3c",
+    policies="independent",
+    model=ModelConfig(hidden=(6,), actor_gain=0.5),
+    precision="float64",
+    lr=1e-2,
+    critic_lr=3e-3,
+    lr_end=0.5,
+    entropy_coeff=0.3,
+    grad_clip=0.2,
+    normalise_advantages=False,
+    normalise_observations=False,
     normalise_values=False,
-)  # fmt: skip
+)
 SEED = 4
 Made = Callable[..., Trajectory]
 Arrays = Mapping[str, NDArray[Any]]
@@ -67,6 +75,10 @@ class NaiveAgent:
             worth = [self.critic(row)[0] for row in seen]
             values = np.array([value.item() for value in worth])
             ends = np.array([self.critic(row).item() for row in final])
+            if not present[-1] and present.any():
+                # What follows is unknown: the agent is worth what it was when last seen.
+                values[-1] = values[np.flatnonzero(present)[-1]]
+                present = np.append(present[:-1], True)
             advantages = advantages_of(
                 made.rewards[:, c, n].astype(np.float64), values, ends,
                 made.terminated[:, c, n], made.truncated[:, c, n], present, CONFIG.gamma, CONFIG.gae_lambda,
@@ -247,8 +259,8 @@ def test_published_parameters_are_copies(fabricate: Made) -> None:
 
 @pytest.mark.parametrize("setting", [{"epochs": 2}, {"minibatches": 2}, {"shared_until": 0.5}])
 def test_settings_without_effect_are_refused(setting: Mapping[str, Any]) -> None:
-    with pytest.raises(ValueError, match=f"{next(iter(setting))} must be . for a3c"):
-        A3CConfig(**setting)
+    with pytest.raises(TypeError, match=next(iter(setting))):
+        configure("a3c", **setting)
 
 
 def _learned(
@@ -265,7 +277,7 @@ def _learned(
     assert isinstance(learner, AsynchronousA2CLearner)
     assert entry.contributor is not None
     contributors = SerialContributors(AsynchronousPlan(plan, entry.contributor, config), print)
-    mode = AsynchronousMode(learner, contributors)
+    mode = AsynchronousMode(learner, contributors, iterations=1000)
     contributors.begin()
     for iteration in range(1, iterations + 1):
         done = mode.iterate(iteration, (iteration - 1) / iterations)
@@ -286,9 +298,11 @@ def test_stale_gradients_reach_the_optimum_of_a_matrix_game() -> None:
     assert _learned("matrix", game, {"lr": 1e-2, "entropy_coeff": 0.1}, 20)[0] == 11.0
 
 
+@pytest.mark.slow
 def test_stale_gradients_reach_nearly_the_optimal_tracking_cost() -> None:
     """At most 1.6 times the optimal cost; random play costs hundreds of times as much."""
-    model = ModelConfig(hidden=(32, 32), activation="relu")
+    # A standard deviation of 0.3 in [-1, 1]: good actions take a small part of the range.
+    model = ModelConfig(hidden=(32, 32), activation="relu", log_std=-1.2)
     settings = {
         "policies": "shared", "model": model, "gamma": 0.8, "lr": 5e-3, "lr_end": 0.02, "entropy_coeff": 0.0,
         "normalise_observations": False,
@@ -298,6 +312,7 @@ def test_stale_gradients_reach_nearly_the_optimal_tracking_cost() -> None:
     assert random < 100 * best
 
 
+@pytest.mark.slow
 def test_stale_gradients_come_near_the_optimum_with_agents_that_come_and_go() -> None:
     """At least 0.96 of the way from random to optimal."""
     settings = {"policies": "shared", "gamma": 0.9, "lr": 3e-3, "lr_end": 0.1}

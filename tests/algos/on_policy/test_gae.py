@@ -85,7 +85,7 @@ def test_values_of_absent_steps_are_never_read() -> None:
 def test_an_agent_absent_at_the_end_gets_its_teammates_value() -> None:
     values = np.array([[1.0, np.nan, 4.0], [np.nan, np.nan, np.nan]])
     present = np.array([[True, False, True], [False] * 3])
-    filled, awaiting = with_teammates_values(values, present)
+    filled, awaiting = with_teammates_values(values, present, ("a",) * 3)
     np.testing.assert_array_equal(filled[0], [1.0, 2.5, 4.0])
     np.testing.assert_array_equal(awaiting, [[True] * 3, [False] * 3])
     assert not present[0, 1]

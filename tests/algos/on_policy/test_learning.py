@@ -1,7 +1,6 @@
 """Learning bars: each algorithm comes close to a known optimum within seconds."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from headway.rollout.episodes import evaluate_rule
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
 from headway_algos.config import AlgoConfig, ModelConfig
-from headway_algos.registry import ENTRIES
+from headway_algos.registry import ENTRIES, configure
 from headway_algos.replay_config import NetworkConfig
 from headway_envs.toy.entry import ENTRIES as TOYS
 
@@ -47,7 +46,7 @@ def _begun(
     copies, steps = batch
     toy, entry = TOYS[env], ENTRIES[algorithm]
     prepared = toy.prepare(toy.config(**env_args))
-    spec, config = toy.make(prepared, 1).spec, entry.config(**settings)
+    spec, config = toy.make(prepared, 1).spec.for_policies, configure(algorithm, **settings)
     policy = entry.acting_policy(config, spec)
     plan = RolloutPlan(toy.make, (), prepared, spec, policy, seeds, copies, steps, copies)
     collector = SerialCollector(plan)
@@ -129,7 +128,9 @@ def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorith
     in_turns = algorithm in IN_TURNS
     settings: dict[str, Any] = {
         "policies": "independent" if in_turns else "shared",
-        "model": ModelConfig(hidden=(32, 32), activation="relu"),
+        "agent_id": False,
+        # A standard deviation of 0.3 in [-1, 1]: good actions take a small part of the range.
+        "model": ModelConfig(hidden=(32, 32), activation="relu", log_std=-1.2),
         "gamma": 0.8,
         "lr": 5e-3,
         "lr_end": 0.02,
@@ -182,9 +183,12 @@ RECALL: dict[str, tuple[dict[str, Any], int]] = {
 def test_recurrent_policies_recall_the_first_observation_at_the_end(algorithm: str) -> None:
     """Always, of two cues, by every seed; without recurrence policies do no better than chance."""
     settings, iterations = RECALL[algorithm]
-    task, model = {"agents": 2, "steps": 4}, ModelConfig(hidden=(16,), gru_size=16, sequence_length=12)
-    for core, bounds in (("gru", (1.0, 1.0)), ("none", (0.2, 0.8))):
-        chosen = {**settings, "model": replace(model, core=core)}
+    task, recurrent = (
+        {"agents": 2, "steps": 4},
+        ModelConfig((16,), core="gru", gru_size=16, sequence_length=12),
+    )
+    for model, bounds in ((recurrent, (1.0, 1.0)), (ModelConfig((16,)), (0.2, 0.8))):
+        chosen = {**settings, "policies": "independent", "model": model}
         returns = _returns(_train("recall", task, algorithm, chosen, (0, 1, 2), (16, 24, iterations)))
         assert bounds[0] <= min(returns) <= max(returns) <= bounds[1]
 
@@ -193,7 +197,10 @@ def test_counterfactual_credit_finds_each_agents_part_in_a_teams_reward() -> Non
     """More than 0.75 of the way from random to optimal, although nine tenths of the reward, the share of ten
     agents that choose right, depend on the others."""
     team = {"agents": 10, "steps": 50}
-    settings = {"critic": "counterfactual", "policies": "shared", "gamma": 0.5, "gae_lambda": 0.5, "lr": 3e-3}
+    settings = {
+        "critic": "counterfactual", "policies": "shared", "agent_id": False, "gamma": 0.5, "gae_lambda": 0.5,
+        "lr": 3e-3,
+    }  # fmt: skip
     evaluated = _train("trivial", team, "custom", settings, (0, 1), (4, 50, 15))
     random, best = _rule("trivial", team, "random"), _rule("trivial", team, "optimal")
     shares = [(mean - random) / (best - random) for mean in _returns(evaluated)]
@@ -203,13 +210,16 @@ def test_counterfactual_credit_finds_each_agents_part_in_a_teams_reward() -> Non
 def test_q_learning_plays_matrix_without_a_trap_at_its_optimum() -> None:
     """11 of 11, each agent by its own values, with the other as part of the environment."""
     game = {"payoff": ((11.0, 6.0, 4.0), (6.0, 5.0, 3.0), (4.0, 3.0, 2.0))}
-    settings = {"lr": 5e-2, "updates": 8, "batch_size": 32, "learning_starts": 64}
+    settings = {
+        "policies": "independent", "lr": 5e-2, "updates": 8, "batch_size": 32, "learning_starts": 64,
+    }  # fmt: skip
     evaluated = _train("matrix", game, "madqn", settings, (0, 1, 2), (8, 8, 30))
     assert _returns(evaluated) == [11.0] * 3
 
 
 REPLAYED = {
     "policies": "shared",
+    "agent_id": False,
     "lr": 2e-3,
     "updates": 30,
     "batch_size": 64,
@@ -241,7 +251,8 @@ def test_q_learning_of_trivial_comes_near_its_optimum(n_step: int) -> None:
 def test_deterministic_policies_track_at_little_more_than_the_optimal_cost() -> None:
     """At most 4 times the linear-quadratic regulator's cost; untrained policies cost hundreds of times it."""
     settings = {
-        "policies": "shared", "model": NetworkConfig((32, 32), "tanh"), "gamma": 0.6, "lr": 1e-3,
+        "policies": "shared", "agent_id": False, "model": NetworkConfig((32, 32), "tanh"), "gamma": 0.6,
+        "lr": 1e-3,
         "critic_lr": 5e-3, "lr_end": 0.02, "updates": 40, "learning_starts": 200, "tau": 0.05,
         "loss": "huber", "exploration_start": 0.5, "normalise_observations": False,
     }  # fmt: skip

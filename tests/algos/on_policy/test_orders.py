@@ -13,24 +13,32 @@ from torch import Tensor
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch
-from headway_algos.components import UPDATES
+from headway_algos.components import ORDERS, UPDATES, Component
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.learner import OnPolicyLearner
-from headway_algos.on_policy.orders import ORDERS, sequential, simultaneous
-from headway_algos.on_policy.updates import GradientUpdate
-from headway_algos.on_policy.updates.ppo import PPO
+from headway_algos.on_policy.orders import sequential, simultaneous
+from headway_algos.on_policy.updates.gradient_update import GradientUpdate
+from headway_algos.on_policy.updates.kl_penalty import KLPenalty
+from headway_algos.on_policy.updates.losses import PPOLoss
+from headway_algos.registry import configure
 
 R, N, B, D, A = 2, 4, 18, 3, 3
 DOUBLE = torch.float64
 DISCRETE = EnvSpec("made", tuple("abcd"), D, Discrete(A))
 APART = Grouping.of("independent", DISCRETE)
 BOX = replace(DISCRETE, action_space=Box((-1.0,) * A, (1.0,) * A))
-CONFIG = AlgoConfig(
-    order="sequential", model=ModelConfig(hidden=(6,), actor_gain=1.0), precision="float64", epochs=2,
-    minibatches=3, lr=2e-2, piece_samples=16,
-)  # fmt: skip
+CONFIG = configure(
+    "custom",
+    order="sequential",
+    model=ModelConfig(hidden=(6,), actor_gain=1.0),
+    precision="float64",
+    epochs=2,
+    minibatches=3,
+    lr=2e-2,
+    piece_samples=16,
+)
 
 
 class Recording(GradientUpdate):
@@ -57,8 +65,12 @@ class Recording(GradientUpdate):
 def _update(kind: type[GradientUpdate], spec: EnvSpec, config: AlgoConfig = CONFIG) -> GradientUpdate:
     layout = Layout(APART, R, torch.device("cpu"), DOUBLE)
     actor = Actor(config.model, spec, range(R), N, DOUBLE)
-    loss = PPO(config.clip, config.entropy_coeff)
-    return kind(actor, config, layout, loss, config.epochs, config.minibatches, config.kl_coeff)
+    loss = PPOLoss(config.clip, config.entropy_coeff)
+    penalty = None
+    if config.kl_coeff > 0:
+        coefficients = torch.full((R * N,), config.kl_coeff, dtype=DOUBLE)
+        penalty = KLPenalty(coefficients, config.kl_target, config.piece_samples)
+    return kind(actor, config, layout, loss, config.epochs, config.minibatches, penalty)
 
 
 def _rows(spec: EnvSpec) -> tuple[PolicyBatch, Tensor, NDArray[np.bool_]]:
@@ -130,8 +142,11 @@ def test_the_state_of_an_update_is_adopted_from_its_part() -> None:
             part = parts.narrow(policies)
             part.improve(rows.narrow(policies), advantages[policies], [_generators("rows", R * N)[p]])
             parts.adopt(policies, part)
-    torch.testing.assert_close(parts.kl_coeff, whole.kl_coeff, rtol=1e-12, atol=0)
-    assert (whole.kl_coeff != 0.3).any()
+    assert parts.penalty is not None
+    assert whole.penalty is not None
+    adapted = whole.penalty.coefficients
+    torch.testing.assert_close(parts.penalty.coefficients, adapted, rtol=1e-12, atol=0)
+    assert (adapted != 0.3).any()
     assert parts.optimiser.counts.tolist() == whole.optimiser.counts.tolist() == [12] * (R * N)
     pairs = zip(
         [*parts.actor.parameters(), *parts.optimiser.means.parts, *parts.optimiser.squares.parts],
@@ -144,9 +159,10 @@ def test_the_state_of_an_update_is_adopted_from_its_part() -> None:
 
 @pytest.mark.parametrize("update", UPDATES)
 def test_a_part_is_a_copy_until_it_is_adopted(update: Any) -> None:  # noqa: ANN401 - a literal
-    config = replace(CONFIG, update=update, kl_bound=0.01)
+    shared = {"order": "sequential", "model": CONFIG.model, "precision": "float64"}
+    config = configure("custom", update=update, **shared, **({"lr": 2e-2} if update != "trpo" else {}))
     layout = Layout(APART, R, torch.device("cpu"), DOUBLE)
-    whole = UPDATES[update](Actor(config.model, DISCRETE, range(R), N, DOUBLE), config, layout)
+    whole = UPDATES[update].make(Actor(config.model, DISCRETE, range(R), N, DOUBLE), config, layout)
     rows, advantages, _ = _rows(DISCRETE)
     before = [parameter.detach().clone() for parameter in whole.actor.parameters()]
     policies = torch.tensor([6, 1])
@@ -178,7 +194,7 @@ def test_the_order_is_drawn_anew_for_each_replica_and_iteration(
         drawn.extend(tuple(random.permutation(N)) for random in order_generators)
         return {}
 
-    monkeypatch.setitem(ORDERS, "sequential", noting)
+    monkeypatch.setitem(ORDERS, "sequential", Component("", AlgoConfig, noting))
     learner = OnPolicyLearner(CONFIG, DISCRETE, (3, 8), "cpu")
     for iteration in (1, 2, 3):
         learner.update(fabricate(DISCRETE, 4, 2, seed=0), iteration, 0.0)

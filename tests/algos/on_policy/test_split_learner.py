@@ -1,7 +1,9 @@
 """A shared policy that is split into separate ones during training."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +13,7 @@ from headway.contracts import Discrete, EnvSpec, Trajectory
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.split_learner import SplitLearner
-from headway_algos.recipes.coma import COMAConfig
-from headway_algos.recipes.ippo import IPPOConfig
-from headway_algos.recipes.mappo import MAPPOConfig
-from headway_algos.recipes.matrpo import MATRPOConfig
-from headway_algos.registry import ENTRIES
+from headway_algos.registry import ENTRIES, configure
 
 Fabricate = Callable[..., Trajectory]
 SPEC = EnvSpec(
@@ -23,12 +21,16 @@ SPEC = EnvSpec(
 )
 TEAM = replace(SPEC, shared_reward=True)
 MODEL = ModelConfig(hidden=(8,), actor_gain=0.5)
+SETTINGS: dict[str, Any] = {"policies": "independent", "model": MODEL, "precision": "float64"}
 CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
-    "ippo": (IPPOConfig(model=MODEL, precision="float64", minibatches=2), SPEC),
-    "mappo of own rewards": (MAPPOConfig(model=MODEL, precision="float64"), SPEC),
-    "mappo of a team, groups": (MAPPOConfig(model=MODEL, precision="float64", policies="groups"), TEAM),
-    "matrpo": (MATRPOConfig(model=MODEL, precision="float64"), SPEC),
-    "coma": (COMAConfig(model=MODEL, precision="float64"), TEAM),
+    "ippo": (configure("ippo", **SETTINGS, minibatches=2), SPEC),
+    "mappo of own rewards": (configure("mappo", **SETTINGS), SPEC),
+    "mappo of a team, groups": (
+        configure("mappo", **{**SETTINGS, "policies": "groups"}),
+        TEAM,
+    ),
+    "matrpo": (configure("matrpo", **SETTINGS), SPEC),
+    "coma": (configure("coma", **SETTINGS), TEAM),
 }
 SEEDS = (3, 4)
 
@@ -43,7 +45,7 @@ def test_policies_equal_the_shared_one_until_the_split_and_start_from_it(
 ) -> None:
     config, spec = CASES[name]
     parting = SplitLearner(replace(config, shared_until=0.5), spec, SEEDS, "cpu")
-    shared = OnPolicyLearner(replace(config, policies="shared"), spec, SEEDS, "cpu")
+    shared = OnPolicyLearner(replace(config, policies="shared", agent_id=False), spec, SEEDS, "cpu")
     policies = parting.policies
     for iteration, progress in enumerate((0.0, 0.25, 0.49)):
         trajectory = fabricate(spec, 20, 2 * len(SEEDS), seed=iteration)
@@ -62,8 +64,7 @@ def test_policies_equal_the_shared_one_until_the_split_and_start_from_it(
     assert all(value.shape == (len(SEEDS),) for value in metrics.values())
 
 
-@pytest.mark.parametrize("parts_at", [1, 2])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(("name", "parts_at"), list(zip(CASES, itertools.cycle([1, 2]))))
 def test_a_resumed_learner_continues_bit_for_bit(name: str, parts_at: int, fabricate: Fabricate) -> None:
     """Also from a state just before, or just after, the split."""
     config, spec = CASES[name]
@@ -96,10 +97,9 @@ def test_steps_are_smaller_after_the_split(update: str, fabricate: Fabricate) ->
     """A hundredth of the learning rate: steps of Adam and TRPO are proportional to it."""
 
     def step_apart(apart_lr: float) -> float:
-        config = IPPOConfig(
-            update=update,  # type: ignore[arg-type]  # a parameter of the test
-            model=MODEL, precision="float64", epochs=1, minibatches=1, shared_until=0.5, apart_lr=apart_lr,
-            normalise_observations=False,
+        config = configure(
+            "custom", update=update, model=MODEL, precision="float64", epochs=1, minibatches=1,
+            shared_until=0.5, apart_lr=apart_lr, normalise_observations=False,
         )  # fmt: skip
         learner = SplitLearner(config, SPEC, SEEDS, "cpu")
         learner.update(fabricate(SPEC, 20, 2 * len(SEEDS), seed=0), 0, 0.0)
@@ -119,19 +119,15 @@ def test_steps_are_smaller_after_the_split(update: str, fabricate: Fabricate) ->
         ({"apart_lr": 0.0, "shared_until": 0.5}, "apart_lr must be above 0"),
         ({"shared_until": 1.0}, r"shared_until must lie in \[0, 1\)"),
         ({"shared_until": 0.5, "policies": "shared"}, "shared_until must be 0 with policies: shared"),
-        (
-            {"shared_until": 0.5, "order": "sequential"},
-            "shared_until must be 0 with order: sequential",
-        ),
     ],
 )
 def test_impossible_splits_are_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        AlgoConfig(**changes)  # type: ignore[arg-type]  # as from YAML
+        configure("custom", **changes)  # type: ignore[arg-type]  # as from YAML
 
 
 def test_the_registry_makes_a_split_learner() -> None:
-    config = IPPOConfig(model=MODEL, shared_until=0.5)
+    config = configure("ippo", model=MODEL, shared_until=0.5)
     assert isinstance(ENTRIES["ippo"].learner(config, SPEC, SEEDS[:1], "cpu"), SplitLearner)
     plain = replace(config, shared_until=0.0)
     assert isinstance(ENTRIES["ippo"].learner(plain, SPEC, SEEDS[:1], "cpu"), OnPolicyLearner)

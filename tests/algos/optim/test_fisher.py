@@ -1,5 +1,6 @@
 """Fisher products against the explicit matrix and automatic differentiation, and products with J."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -8,18 +9,30 @@ import torch
 from torch import Tensor
 from torch.func import functional_call
 
-from headway.contracts import ActionSpace, Box, Discrete, EnvSpec
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, MultiDiscrete
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import ModelConfig
+from headway_algos.kernels import ROWS
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.networks.linearised import LinearisedMLP
-from headway_algos.optim.fisher import double_backward, fisher_product, flat, gauss_newton, unflat
+from headway_algos.optim.fisher import (
+    compiled_gauss_newton,
+    double_backward,
+    fisher_product,
+    flat,
+    gauss_newton,
+    unflat,
+)
 
 P, B, D, A = 3, 14, 3, 4
 DOUBLE = torch.float64
-SPACES: dict[str, ActionSpace] = {"discrete": Discrete(A), "box": Box((-1.0,) * A, (1.0,) * A)}
+SPACES: dict[str, ActionSpace] = {
+    "discrete": Discrete(A),
+    "box": Box((-1.0,) * A, (1.0,) * A),
+    "multi": MultiDiscrete((2, A - 2)),
+}
 every_network = pytest.mark.parametrize(
     ("hidden", "activation"), [((6, 5), "tanh"), ((6, 5), "relu"), ((7,), "tanh"), ((), "tanh")]
 )
@@ -36,17 +49,17 @@ def _actor(space: str, hidden: tuple[int, ...] = (6, 5), activation: str = "tanh
     return actor
 
 
-def _batch(space: str, masked: bool = False) -> WholeBatch:
+def _batch(space: str, masked: bool = False, rows_each: int = B) -> WholeBatch:
     """Policy 1 has fewer rows than the others."""
     random = torch.Generator().manual_seed(2)
-    selected = np.ones((P, B), np.bool_)
+    selected = np.ones((P, rows_each), np.bool_)
     selected[1, ::3] = False
-    masks = torch.rand(P, B, A, generator=random) < 0.6
+    masks = torch.rand(P, rows_each, A, generator=random) < 0.6
     masks[..., 1] |= ~masks.any(-1)
-    actions = torch.zeros(P, B, dtype=torch.int64) if space == "discrete" else torch.zeros(P, B, A)
-    zeros = torch.zeros(P, B, dtype=DOUBLE)
+    actions = torch.zeros((P, rows_each) if space == "discrete" else (P, rows_each, A), dtype=torch.int64)
+    zeros = torch.zeros(P, rows_each, dtype=DOUBLE)
     rows = PolicyBatch(
-        torch.randn(P, B, D, generator=random, dtype=DOUBLE),
+        torch.randn(P, rows_each, D, generator=random, dtype=DOUBLE),
         masks if masked else None,
         actions,
         zeros,
@@ -105,6 +118,38 @@ def test_both_forms_are_equal(space: str, masked: bool, hidden: tuple[int, ...],
         assert torch.equal(one, fisher_product(actor, batch, 10)(vector))
 
 
+@every_network
+@pytest.mark.parametrize(
+    ("space", "masked"), [("discrete", False), ("discrete", True), ("box", False), ("multi", True)]
+)
+def test_compiled_products_equal_those_of_torch_in_float64(
+    space: str, masked: bool, hidden: tuple[int, ...], activation: str
+) -> None:
+    """In several blocks of rows; a policy's product has the same bits without the others."""
+    precise, batch = _actor(space, hidden, activation), _batch(space, masked, 2 * ROWS + 37)
+    actor = deepcopy(precise).float()
+    single = replace(batch, observations=batch.observations.float(), weight=batch.weight.float())
+    product = compiled_gauss_newton(actor, single)
+    assert product is not None
+    assert compiled_gauss_newton(precise, batch) is None
+    random = torch.Generator().manual_seed(5)
+    for _ in range(2):
+        vector = torch.randn(flat(actor.learnable).shape, generator=random)
+        expected = gauss_newton(precise, batch, 10_000)(vector.double())
+        torch.testing.assert_close(product(vector).double(), expected, rtol=1e-4, atol=1e-5)
+    alone = single.narrow(torch.tensor([1]))
+    own = slice(int((alone.weight > 0).sum()))
+    alone = replace(
+        alone,
+        observations=alone.observations[:, own],
+        masks=None if alone.masks is None else alone.masks[:, own],
+        weight=alone.weight[:, own],
+    )
+    narrowed = compiled_gauss_newton(actor.narrow(torch.tensor([1])), alone)
+    assert narrowed is not None
+    assert torch.equal(narrowed(vector[1:2]), product(vector)[1:2])
+
+
 def test_a_policy_without_rows_has_no_fisher_information() -> None:
     """Also not in its log standard deviation."""
     actor, batch = _actor("box"), _batch("box")
@@ -112,6 +157,14 @@ def test_a_policy_without_rows_has_no_fisher_information() -> None:
     weight[1] = 0
     batch = replace(batch, weight=weight)
     vector = torch.ones_like(flat(actor.learnable))
+    single = replace(batch, observations=batch.observations.float(), weight=batch.weight.float())
+    compiled = compiled_gauss_newton(deepcopy(actor).float(), single)
+    assert compiled is not None
+    assert (compiled(vector.float())[1] == 0).all()
+    none = replace(single, observations=single.observations[:, :0], weight=single.weight[:, :0])
+    without = compiled_gauss_newton(deepcopy(actor).float(), none)
+    assert without is not None
+    assert (without(vector.float()) == 0).all()
     for product in (gauss_newton(actor, batch, 10), double_backward(actor, batch, 10)):
         assert (product(vector)[1] == 0).all()
         assert (product(vector)[0] != 0).any()

@@ -63,8 +63,8 @@ def test_buses_queues_and_strokes_come_with_the_day(line: Prepared) -> None:
     env, renderer = began(line), BusRenderer(line)
     first = renderer.render(env, at_end=False)
     assert first.dtype == np.uint8
-    for _ in range(120):
-        drive(env, 1)
+    for _ in range(30):
+        drive(env, 4)
         later = renderer.render(env, at_end=False)
     assert later.shape == first.shape
     assert len(renderer._panels) == 2
@@ -116,7 +116,7 @@ def test_the_end_keeps_the_diagram_and_the_next_day_begins_a_new_one() -> None:
     short = ENTRY.prepare(BusConfig(end_hour=6))
     env, renderer = began(short), BusRenderer(short)
     renderer.render(env, at_end=False)
-    ended = False
+    ended = drive(env, short.config.ticks - 5)
     while not ended:
         before = renderer.render(env, at_end=False)
         ended = drive(env, 1)

@@ -1,5 +1,6 @@
 """Holding is better than never holding, on the same days."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ DAYS = 20
 LINE1 = Path(__file__).parents[4] / "shared" / "data" / "sunt" / "line1"
 
 
+@cache
 def _metrics(scenario: str, rule_name: str) -> dict[str, np.ndarray]:
     prepared = ENTRY.prepare(BusConfig(scenario=scenario))
     env, rule = ENTRY.make(prepared, DAYS), ENTRY.rules[rule_name].make(prepared)

@@ -13,7 +13,7 @@ from headway_envs.bus.scenario.plots import _draw_map, draw_scenario
 from headway_envs.bus.scenario.synthetic import generate
 
 
-@pytest.mark.parametrize("scenario", ["line", "district"])
+@pytest.mark.parametrize("scenario", ["line", pytest.param("district", marks=pytest.mark.slow)])
 def test_a_picture_shows_the_map_and_the_day(scenario: str, tmp_path: Path) -> None:
     tables = generate(scenario, 0)
     draw_scenario(tables, "weekday", scenario).savefig(tmp_path / "a.png")

@@ -33,10 +33,6 @@ def test_generation_is_deterministic_and_sized(tables: Tables) -> None:
     assert not tables.links.equals(generate("line", 1).links)
     for seed in range(3):
         assert len(prepare(BusConfig(scenario_seed=seed)).agents) == 14
-    corridor = prepare(BusConfig(scenario="corridor"))
-    assert len(corridor.lines) == 10
-    assert len(corridor.agents) == 110
-    assert corridor.groups[0] == "line0"
 
 
 def test_a_written_scenario_is_the_same_network(tables: Tables, tmp_path: Path) -> None:

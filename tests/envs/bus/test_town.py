@@ -76,6 +76,7 @@ def test_vehicles_of_the_timetable_drive_one_trip_at_a_time_on_one_line(district
     assert trips["vehicle"].nunique() == sum(line_fleets("district"))
 
 
+@pytest.mark.slow
 def test_lines_share_stops_and_go_one_way_as_often_as_measured() -> None:
     told: list[int] = []
     city = generate("city", 0, lambda: told.append(1))

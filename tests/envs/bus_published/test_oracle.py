@@ -107,7 +107,15 @@ class Plain:
 
 
 @pytest.mark.parametrize(
-    "chances", [(0.3, 0.4, 0.3), (0.02, 0.96, 0.02), (0.0, 1.0, 0.0), (0.2, 0.8, 0.0), (0.0, 0.998, 0.002)]
+    "chances",
+    [
+        (0.3, 0.4, 0.3),
+        (0.02, 0.96, 0.02),
+        *(
+            pytest.param(chances, marks=pytest.mark.slow)
+            for chances in ((0.0, 1.0, 0.0), (0.2, 0.8, 0.0), (0.0, 0.998, 0.002))
+        ),
+    ],
 )
 def test_days_equal_those_of_a_plain_loop(begun: Begun, chances: tuple[float, float, float]) -> None:
     copies = 3

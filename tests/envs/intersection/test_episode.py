@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from covering import quick_or_slow
 from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError, StepResult, generator
@@ -110,7 +111,7 @@ def _actions_for(env: IntersectionBatchedEnv, interval: int, there: frozenset[st
     return actions
 
 
-@pytest.mark.parametrize("kind", ["team", "own", "paper"])
+@pytest.mark.parametrize("kind", quick_or_slow({kind: (kind,) for kind in ("team", "own", "paper")}, "own"))
 def test_a_repeated_action_equals_the_same_action_at_every_step(
     kind: str, crossing: Callable[..., Any]
 ) -> None:

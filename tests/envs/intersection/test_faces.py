@@ -21,11 +21,11 @@ def test_pettingzoos_api_test_passes() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with closing(IntersectionParallelEnv(IntersectionConfig())) as vehicles:
-            parallel_api_test(vehicles, num_cycles=500)
-        with closing(IntersectionParallelEnv(IntersectionConfig(action_repeat=5))) as vehicles:
             parallel_api_test(vehicles, num_cycles=150)
-        with closing(IntersectionSlotsParallelEnv(IntersectionConfig(horizon=150))) as slots:
-            parallel_api_test(slots, num_cycles=400)
+        with closing(IntersectionParallelEnv(IntersectionConfig(action_repeat=5))) as vehicles:
+            parallel_api_test(vehicles, num_cycles=40)
+        with closing(IntersectionSlotsParallelEnv(IntersectionConfig(horizon=60))) as slots:
+            parallel_api_test(slots, num_cycles=130)
 
 
 @pytest.mark.parametrize("face", ["vehicles", "slots"])

@@ -34,6 +34,7 @@ def test_every_rule_plays(name: str, crossing: Callable[..., Any]) -> None:
     assert metrics["avs"] > 5
 
 
+@pytest.mark.slow
 def test_humans_observe_the_right_of_way_and_full_throttle_does_not(crossing: Callable[..., Any]) -> None:
     env = crossing(horizon=1200)
     crashes = {}
@@ -47,6 +48,7 @@ def test_humans_observe_the_right_of_way_and_full_throttle_does_not(crossing: Ca
     assert sum(crashes["reservation"]) < sum(crashes["full_throttle"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("action_repeat", [1, 10])
 def test_the_virtual_signal_has_more_outflow_than_right_of_way(
     action_repeat: int, crossing: Callable[..., Any]

@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from covering import pairwise
+from covering import pairwise, quick_or_slow
 
 pytest.importorskip(
     "highway_env", reason="the oracle highway-env is not installed: pip install 'headway[dev]'"
@@ -13,9 +13,10 @@ from headway.contracts import HeadwayError
 from tests.trials.merge_parity import PLAYS, TOLERANCE, Trial, compare, run
 
 DRIVERS = {"highway-env": False, "study": True}
+TRIALS = {"-".join(map(str, trial)): trial for trial in pairwise(DRIVERS, PLAYS, [1, 2])}
 
 
-@pytest.mark.parametrize(("drivers", "play", "ramp_lanes"), pairwise(DRIVERS, PLAYS, [1, 2]))
+@pytest.mark.parametrize(("drivers", "play", "ramp_lanes"), quick_or_slow(TRIALS, *list(TRIALS)[::3]))
 def test_every_step_equals_highway_envs(ramp_lanes: int, play: str, drivers: str) -> None:
     """Positions to 1e-9, lanes, masks and crashes exactly; every trial here has lane changes."""
     trial = Trial(ramp_lanes, density=3, play=play, seed=4, eager=DRIVERS[drivers], steps=80)

@@ -60,8 +60,7 @@ def test_the_rules_differ(make: Make, name: str) -> None:
         assert (values["interventions"] == 0).all()
 
 
-@pytest.mark.parametrize("preset", ["clean", "paper"])
-@pytest.mark.parametrize("rule", ["random", "always_left"])
+@pytest.mark.parametrize(("preset", "rule"), [("clean", "random"), ("paper", "always_left")])
 def test_the_supervisor_prevents_crashes(make: Make, preset: str, rule: str) -> None:
     """Random and always-left driving crash often without it, and far less often with it."""
     rates = {}

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from covering import quick_or_slow
 
 from headway_envs.merge.config import RewardConfig
 from headway_envs.merge.env import MergeBatchedEnv
@@ -106,8 +107,14 @@ def reward(cars: list[Car], lanes: list[str], cavs: int, index: int, scope: str)
     return sum(region) / len(region)
 
 
-@pytest.mark.parametrize("scope", ["global", "regional", "own"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("name", "scope"),
+    quick_or_slow(
+        {f"{name}-{scope}": (name, scope) for name in NAMES for scope in ("global", "regional", "own")},
+        "merge-own",
+        "merge_two_lane-regional",
+    ),
+)
 def test_rewards_and_observations_are_as_defined(
     make: Callable[..., MergeBatchedEnv], name: str, scope: str
 ) -> None:

@@ -35,7 +35,7 @@ def test_rules_are_compared_on_the_days_of_an_environment(
             mean = sum(float(row[metric]) for row in played) / 4
             assert float(rows[metric, f"rule {rule}"]["mean"]) == pytest.approx(mean, rel=1e-4)
     assert len(rows) == 4
-    assert float(rows["return", "rule random"]["95% to"]) < 0
+    assert float(rows["return", "rule random"]["95% high"]) < 0
     assert rows["return", "rule optimal"]["minus optimal"] == ""
     assert "train at least" not in shown.err
     assert "4 episodes: the intervals assume a normal distribution" in shown.err

@@ -87,6 +87,14 @@ def test_lists_are_tables_with_tabs_when_piped(capsys: pytest.CaptureFixture[str
     assert any(line.startswith("algo.lr\tnumber\t") for line in lines)
 
 
+def test_the_list_of_an_algorithms_keys_includes_the_rollout_that_it_brings(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["list", "algos", "a3c"]) == 0
+    rows = [line.split("\t")[:3] for line in capsys.readouterr().out.splitlines()]
+    assert [row[2] for row in rows if row[0].startswith("rollout.")] == ["8", "32", "2"]
+
+
 def test_debug_shows_the_traceback() -> None:
     with pytest.raises(Exception, match="no command"):
         run(["--debug", "rnu"])

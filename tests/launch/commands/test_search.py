@@ -1,8 +1,10 @@
 """`headway search` finds a winner by real runs, and `headway plot` draws them."""
 
 import argparse
+import io
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -10,20 +12,22 @@ import pytest
 from headway.contracts.errors import HeadwayError
 from headway.store.index import RunIndex
 from headway_launch.commands import search
+from headway_launch.commands.main import run
 from headway_launch.experiments.search import read_search
 from headway_launch.runner.runner import Runner
 
-HEADWAY = str(Path(sys.executable).with_name("headway"))
-
 
 def _headway(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([HEADWAY, *words], capture_output=True, text=True, timeout=120)
+    """Return what a command of this process gives."""
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        code = run(list(words))
+    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
 
 
 @pytest.fixture(scope="module")
 def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
     root = tmp_path_factory.mktemp("store")
-    small = ("env_steps=2048", "energy=off", f"store.root={root}")
+    small = ("env_steps=2048", "backend=serial", "energy=off", f"store.root={root}")
     return root, _headway("search", "toy_matrix", *small)
 
 
@@ -35,7 +39,9 @@ def test_a_search_names_one_winner_a_cell(searched: tuple[Path, subprocess.Compl
     rows = [line.split("\t") for line in table if line]
     assert [row[1] for row in rows] == ["lr 5e-4", "lr 5e-3"]
     first, second = (float(row[2]) for row in rows)
-    words = ["as good", "as good"] if first == second else ["best", ""] if first > second else ["", "best"]
+    words = (
+        ["tied best", "tied best"] if first == second else ["best", ""] if first > second else ["", "best"]
+    )
     assert [row[3] for row in rows] == words
 
 
@@ -44,7 +50,9 @@ def test_a_search_given_again_trains_nothing_and_names_the_same_winner(
     searched: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
     root, first = searched
-    again = _headway("search", "toy_matrix", "env_steps=2048", "energy=off", f"store.root={root}")
+    again = _headway(
+        "search", "toy_matrix", "env_steps=2048", "backend=serial", "energy=off", f"store.root={root}"
+    )
     assert again.returncode == 0, again.stderr
     assert "2 finished and skipped" in again.stderr
     winners = [done.stdout[done.stdout.index("cell\tcandidate") :] for done in (first, again)]
@@ -85,7 +93,7 @@ def test_cells_and_rules_are_compared_on_the_same_days(
 def test_no_winner_is_named_while_another_session_trains_a_seed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    small = ("toy_matrix", "env_steps=1024", "energy=off", f"store.root={tmp_path}")
+    small = ("toy_matrix", "env_steps=1024", "backend=serial", "energy=off", f"store.root={tmp_path}")
     done = _headway("search", *small)
     assert done.returncode == 0, done.stderr
     monkeypatch.setattr(Runner, "final_rewards", lambda self: [[1.0], []])
@@ -126,10 +134,18 @@ def test_a_broken_search_is_one_line(
 
 
 @pytest.mark.slow
+def test_the_installed_program_tells_a_wrong_search_in_one_line() -> None:
+    program = str(Path(sys.executable).with_name("headway"))
+    done = subprocess.run([program, "search", "bus_lin"], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert done.stderr.startswith("headway: there is no search 'bus_lin'; did you mean bus_line?")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (("search", "bus_lin"), "there is no search 'bus_lin'; did you mean bus_line?"),
         (("search", "toy_matrix", "algo.lrr=1"), "algo.lrr"),
         (("search", "toy_matrix", "algo.lr=1e-3"), "ippo: lr 5e-4 and ippo: lr 5e-3 are the same experiment"),
     ],

@@ -30,9 +30,20 @@ def root(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def keep_run(root: Path) -> Callable[..., Path]:
-    """Store a run whose curve climbs from 0 to `final`; evaluation episode i returns `final` + i, a rule's
-    returns its value + i. `metrics` are the same in all episodes, for rules unless `rule_metrics` differs.
-    Episodes end during training in the iterations `trained` (default: in all)."""
+    """Store a run in `root`, see `keeper`."""
+    return keeper(root)
+
+
+@pytest.fixture(scope="session")
+def keep_run_in() -> Callable[[Path], Callable[..., Path]]:
+    """(root) -> the `keep_run` of that store, for studies that tests share."""
+    return keeper
+
+
+def keeper(root: Path) -> Callable[..., Path]:
+    """Return a function that stores a run whose curve climbs from 0 to `final`; evaluation episode i returns
+    `final` + i, a rule's returns its value + i. `metrics` are the same in all episodes, for rules unless
+    `rule_metrics` differs. Episodes end during training in the iterations `trained` (default: in all)."""
 
     def keep(
         overrides: Sequence[str],

@@ -5,8 +5,10 @@ import io
 import json
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from shutil import copytree
 from typing import Any, Protocol
 
 import pandas as pd
@@ -96,10 +98,25 @@ def two_algorithms(keep_run: KeepRun, **more: float) -> None:
         keep_run((*TRACKING, "algo=ia2c"), seed, 2.0 * seed, rules=RULES, energy=KNOWN, **more)
 
 
-def test_both_reward_sections_show_the_stored_values(keep_run: KeepRun, root: Path) -> None:
-    two_algorithms(keep_run)
-    report = made(root)
-    published = table(report, "published_form").set_index("controller")
+@dataclass(frozen=True)
+class Two:
+    """A study of two algorithms with three seeds each, and its report."""
+
+    root: Path
+    report: Report
+
+
+@pytest.fixture(scope="module")
+def two(keep_run_in: Callable[[Path], KeepRun], tmp_path_factory: pytest.TempPathFactory) -> Two:
+    """Shared by tests that leave its store as it is."""
+    root = tmp_path_factory.mktemp("two") / "store"
+    two_algorithms(keep_run_in(root))
+    return Two(root, made(root))
+
+
+def test_both_reward_sections_show_the_stored_values(two: Two) -> None:
+    report = two.report
+    published = table(report, "final_rewards").set_index("controller")
     ippo = published.loc["ippo"]
     assert [ippo[f"greedy_final_reward_{name}"] for name in ("mean", "std")] == [6.0, 1.0]
     assert ippo["training_final_reward_mean"] == 3.0
@@ -111,7 +128,7 @@ def test_both_reward_sections_show_the_stored_values(keep_run: KeepRun, root: Pa
     assert "6.0 ± 1.0" in text_of(report)
     assert "except keys that do not affect results: where runs are stored" in text_of(report)
 
-    sound = table(report, "sound_form").set_index("controller")
+    sound = table(report, "interquartile_means").set_index("controller")
     learned = [[5.0 + seed + episode for episode in range(4)] for seed in range(3)]
     expected = paired_difference_over_seeds(learned, [[10.0 + episode for episode in range(4)]] * 3)
     found = [sound.loc["ippo", f"minus_best_rule{end}"] for end in ("", "_low", "_high")]
@@ -122,9 +139,8 @@ def test_both_reward_sections_show_the_stored_values(keep_run: KeepRun, root: Pa
     assert chances["ippo", "ia2c"] == 1.0
 
 
-def test_every_result_of_the_summary_names_its_episodes(keep_run: KeepRun, root: Path) -> None:
-    two_algorithms(keep_run)
-    report = made(root)
+def test_every_result_of_the_summary_names_its_episodes(two: Two, keep_run: KeepRun, root: Path) -> None:
+    report = two.report
     best, against, *_ = report.summary
     assert best.endswith("the highest mean final reward: 6 over 3 seeds (2 episodes per evaluation).")
     assert "`optimal`, in the last evaluation (4 episodes) [95% intervals]" in against
@@ -132,14 +148,17 @@ def test_every_result_of_the_summary_names_its_episodes(keep_run: KeepRun, root:
         "evaluated on 2 episodes per point of the curves, the first of the last evaluation's 4 episodes;"
         in text_of(report)
     )
+    copytree(two.root, root)
     configured = keep_run((*TRACKING, "algo=ippo"), 3, 5.0) / "config.yaml"
     configured.write_text(configured.read_text().replace("  episodes: 2\n", "  episodes: 3\n"))
     assert "differing numbers of episodes per evaluation" in made(root).summary[0]
 
 
-def test_budgets_that_differ_by_rounding_are_noted_below_the_tables(keep_run: KeepRun, root: Path) -> None:
-    two_algorithms(keep_run)
-    assert "number of environment steps" not in text_of(made(root))
+def test_budgets_that_differ_by_rounding_are_noted_below_the_tables(
+    two: Two, keep_run: KeepRun, root: Path
+) -> None:
+    assert "number of environment steps" not in text_of(two.report)
+    copytree(two.root, root)
     for seed in range(3):
         longer = keep_run((*TRACKING, "algo=coma"), seed, 1.0, rules=RULES, energy=KNOWN)
         record = json.loads((longer / "run.json").read_text())
@@ -159,8 +178,8 @@ def test_report_warns_of_narrow_intervals_over_few_seeds(keep_run: KeepRun, root
     assert text_of(made(root)).count("With fewer than 10 seeds, bootstrap intervals are too narrow") == 4
 
 
-def test_captions_name_a_cell_that_diverged(keep_run: KeepRun, root: Path) -> None:
-    two_algorithms(keep_run)
+def test_captions_name_a_cell_that_diverged(two: Two, keep_run: KeepRun, root: Path) -> None:
+    copytree(two.root, root)
     for seed in range(2):
         keep_run((*TRACKING, "algo=ddpg"), seed, -98_439.0 - seed)
     report = report_of(StudyData(root, "study", low=-30.0))
@@ -177,8 +196,10 @@ def test_captions_name_a_cell_that_diverged(keep_run: KeepRun, root: Path) -> No
 
 
 @pytest.mark.parametrize(("lower", "diverged"), [(False, False), (True, False), (True, True)])
-def test_a_far_better_cell_is_drawn(lower: bool, diverged: bool, keep_run: KeepRun, root: Path) -> None:
-    two_algorithms(keep_run)
+def test_a_far_better_cell_is_drawn(
+    lower: bool, diverged: bool, two: Two, keep_run: KeepRun, root: Path
+) -> None:
+    copytree(two.root, root)
     sign = -1 if lower != diverged else 1
     for seed in range(2):
         keep_run((*TRACKING, "algo=ddpg"), seed, sign * 98_000.0, energy=KNOWN)
@@ -206,7 +227,7 @@ def test_runs_with_few_evaluations_have_no_auc_by_their_own_range(keep_run: Keep
     assert remark in text_of(report)
     assert "This applies to the training curve of 2 runs (points: iterations" in text_of(report)
     assert "and the greedy curve of 2 runs (points: set by `evaluation.every`)." in text_of(report)
-    published = table(report, "published_form").set_index("controller")
+    published = table(report, "final_rewards").set_index("controller")
     areas = published[["training_auc_own_mean", "greedy_auc_own_mean"]]
     assert areas.loc["ippo"].tolist() == [pytest.approx(0.75)] * 2
     assert areas.loc["ia2c"].isna().all()
@@ -218,7 +239,7 @@ def test_training_columns_need_no_common_step(keep_run: KeepRun, root: Path) -> 
     keep_run((*TRACKING, "algo=a3c"), 0, 4.0, rules=RULES, trained=(0, 2, 4))
     keep_run((*TRACKING, "algo=a3c"), 1, 8.0, rules=RULES, trained=(1, 3))
     report = made(root)
-    a3c = table(report, "published_form").set_index("controller").loc["a3c"]
+    a3c = table(report, "final_rewards").set_index("controller").loc["a3c"]
     assert a3c["training_final_reward_mean"] == 3.0  # half of 4 and of 8
     assert a3c["training_auc_own_mean"] == pytest.approx(0.75)  # of seed 0: seed 1 has but two points
     assert a3c["training_auc_study_mean"] == pytest.approx((0.75 * 2 / 4 + 0.75) / 2)
@@ -227,7 +248,7 @@ def test_training_columns_need_no_common_step(keep_run: KeepRun, root: Path) -> 
     assert short in text_of(report)
     keep_run((*TRACKING, "algo=a3c"), 2, 100.0, rules=RULES, trained=())
     with_one_more = made(root)
-    a3c = table(with_one_more, "published_form").set_index("controller").loc["a3c"]
+    a3c = table(with_one_more, "final_rewards").set_index("controller").loc["a3c"]
     assert (a3c["seeds"], a3c["training_final_reward_mean"]) == (3, 3.0)
     assert (
         "No episode ended during training in 1 run: the training columns cover the remaining runs."
@@ -240,7 +261,7 @@ def test_training_columns_are_omitted_if_no_episode_ended(keep_run: KeepRun, roo
     keep_run((*TRACKING, "algo=ippo"), 0, 4.0, rules=RULES, trained=())
     report = made(root)
     assert "There are no training columns because no episode ended during training." in text_of(report)
-    [shown] = [part for section in report.sections for part in section.body if _is(part, "published_form")]
+    [shown] = [part for section in report.sections for part in section.body if _is(part, "final_rewards")]
     assert isinstance(shown, Table)
     assert not [name for name in shown.headings if name.startswith("training")]
     assert {len(row) for row in shown.rows} == {len(shown.headings)} == {5}
@@ -273,13 +294,12 @@ def test_every_part_is_a_file_and_the_page_is_self_contained(keep_run: KeepRun, 
     for markdown in (folder / "tables").glob("*.md"):
         header, *rows = [line for line in markdown.read_text().splitlines() if line.startswith("|")]
         assert {line.count("|") for line in rows} == {header.count("|")}
-    figures = list(csv.DictReader(io.StringIO((folder / "tables" / "figures.csv").read_text())))
+    figures = list(csv.DictReader(io.StringIO((folder / "tables" / "episode_metrics.csv").read_text())))
     assert figures[-1]["ippo"] == "-0.5"
 
 
-def test_energy_stands_beside_cpu_seconds(keep_run: KeepRun, root: Path) -> None:
-    two_algorithms(keep_run)
-    report = made(root)
+def test_energy_stands_beside_cpu_seconds(two: Two) -> None:
+    report = two.report
     ippo = table(report, "energy").set_index("controller").loc["ippo"]
     assert (ippo["kwh"], ippo["cpu_seconds"]) == pytest.approx((3e-5, 4.0))
     assert math.isnan(ippo["gpu_kwh"])
@@ -478,13 +498,14 @@ def test_error_on_different_evaluation_modes_says_how_to_train(keep_run: KeepRun
 
 
 def test_files_of_an_earlier_report_are_listed(
-    keep_run: KeepRun, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    two: Two, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    two_algorithms(keep_run)
-    write_report(made(root), tmp_path / "report")
+    runs = [section for section in two.report.sections if section.title == "Runs"]
+    report = replace(two.report, sections=runs)
+    write_report(report, tmp_path / "report")
     assert "earlier report" not in capsys.readouterr().err
     (tmp_path / "report" / "tables" / "scaling.md").write_text("of before")
-    write_report(made(root), tmp_path / "report")
+    write_report(report, tmp_path / "report")
     assert "files of an earlier report kept in" in (told := capsys.readouterr().err)
     assert "tables/scaling.md" in told
     assert told.count("\n") == 1

@@ -13,9 +13,11 @@ from headway_launch.report.reproduction_line import reproducing_line
 @pytest.mark.parametrize(
     "overrides",
     [
-        ("experiment=bus_mappo",),
+        pytest.param(("experiment=bus_mappo",), marks=pytest.mark.slow),
         ("experiment=bus_mappo", "preset=bus_tuned_independent", "algo=happo", "algo.lr=3e-5"),
-        ("experiment=bus_mappo", "preset=paper", "rollout=paper", "algo=coma"),
+        pytest.param(
+            ("experiment=bus_mappo", "preset=paper", "rollout.steps=64", "algo=coma"), marks=pytest.mark.slow
+        ),
         ("experiment=toy_matrix", "energy=off", "evaluation.rules=[]", "algo.grad_clip=null"),
         (
             "experiment=toy_trivial",

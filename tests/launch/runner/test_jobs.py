@@ -10,15 +10,8 @@ import pytest
 from headway.config.experiment import BackendConfig, ExperimentConfig, RolloutConfig
 from headway.contracts import Discrete, EnvSpec, HeadwayError
 from headway_launch.experiments.compose import Experiment, compose
-from headway_launch.runner.jobs import (
-    new_jobs,
-    plan_jobs,
-    require_free_disk,
-    share_cores,
-    uses_gpu,
-    within_processes,
-    workers_of,
-)
+from headway_launch.runner.cores import share_cores, uses_gpu, workers_of
+from headway_launch.runner.jobs import new_jobs, plan_jobs, require_free_disk, within_processes
 
 ONE = EnvSpec("bridge", ("north",), 1, Discrete(2), max_copies_per_process=1)
 TWO = replace(ONE, max_copies_per_process=2)
@@ -154,10 +147,19 @@ def test_jobs_use_a_gpu_by_their_own_device() -> None:
 
 def test_a_budget_in_which_policies_would_never_split_is_refused() -> None:
     """The last of n iterations begins at (n - 1) / n of training."""
-    words = ["env=visitors", "algo=ippo", "rollout.copies=2", "rollout.steps=10", "rollout.block=2"]
+    words = [
+        "env=visitors",
+        "algo=ippo",
+        "algo.policies=independent",
+        "rollout.copies=2",
+        "rollout.steps=10",
+        "rollout.block=2",
+    ]
     for share, enough in ((0.5, 2), (0.7, 4), (0.8, 5), (0.9, 10)):
         short = [*words, f"algo.shared_until={share}", f"env_steps={20 * (enough - 1)}"]
-        line = rf"in {enough - 1} x 20 env_steps \(.*\) the last iteration .* algo.shared_until={share}"
+        line = (
+            rf"with {enough - 1} iterations? of 20 steps .* the last iteration .* algo.shared_until={share}"
+        )
         with pytest.raises(HeadwayError, match=line):
             plan_jobs(compose(short))
         assert len(plan_jobs(compose([*short[:-1], f"env_steps={20 * enough}"]))) == 1
@@ -166,7 +168,7 @@ def test_a_budget_in_which_policies_would_never_split_is_refused() -> None:
 def test_the_disk_must_have_room_for_replay_buffers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Three checkpoints per seed (two kept, one being written) of the jobs that run in parallel."""
     monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=2**30))
-    words = ["env=trivial", "rollout=replay", "env_steps=1000000", "seed=0..2", "algo=madqn"]
+    words = ["env=trivial", "env_steps=1000000", "seed=0..2", "algo=madqn", "algo.policies=independent"]
     small, large = (plan_jobs(compose([*words, f"algo.capacity={size}"])) for size in (1000, 1_000_000))
     require_free_disk(tmp_path, small, 2)
     with pytest.raises(HeadwayError, match=r"only 1,024 MiB are free .* 3 seeds need about 3,\d{3} MiB"):
@@ -194,7 +196,6 @@ def _asynchronous(*overrides: str) -> Experiment:
             (),
             "a3c has 4 workers (rollout.copies / rollout.block) and computes one gradient per rollout of 2 x",
         ),
-        (("rollout=asynchronous",), "a3c has 4 workers"),
         (("rollout.block=8",), "a3c has 1 worker ("),
     ],
 )
@@ -205,15 +206,6 @@ def test_the_number_of_workers_of_an_asynchronous_algorithm_is_printed_once(
     shown = "".join(capsys.readouterr())
     assert shown.count("worker") == 1
     assert f"headway: {line}" in shown
-    assert "rollout=asynchronous" not in shown
-
-
-def test_with_the_default_rollout_the_asynchronous_one_is_suggested(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    plan_jobs(compose(["env=tracking", "algo=a3c", "seed=0,1"]))
-    assert "a3c has 2 workers" in (shown := "".join(capsys.readouterr()))
-    assert "rollout=asynchronous sets more and shorter ones" in shown
 
 
 def test_an_asynchronous_algorithm_has_one_worker_per_block_on_any_number_of_cores() -> None:

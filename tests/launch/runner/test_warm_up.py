@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -10,11 +11,13 @@ import numba
 import numpy as np
 import pytest
 
+import headway_algos
+import headway_envs
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.registry import algo_entry, env_entry
 from headway_launch.commands.main import run as run_command
 from headway_launch.experiments.compose import Experiment, compose
-from headway_launch.runner.warm_up import compile_kernels, compile_kernels_of
+from headway_launch.runner.warm_up import compile_all_kernels, compile_kernels, compile_kernels_of
 
 
 def entry(*preload: str) -> EnvEntry:
@@ -72,7 +75,22 @@ def test_kernels_of_learners_and_environments_are_compiled_together(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     warmed = []
-    monkeypatch.setattr("headway_algos.optim.kernel.warm", lambda: warmed.append("learning"))
+    monkeypatch.setattr("headway_algos.kernels.warm", lambda: warmed.append("learning"))
     monkeypatch.setattr("headway_envs.bus.kernel.warm", lambda: warmed.append("stepping"))
     compile_kernels_of([compose([f"env={env}", "algo=ippo"]) for env in ("bus", "trivial")])
     assert sorted(warmed) == ["learning", "stepping"]
+
+
+def test_setup_compiles_all_kernels_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    warmed, written = [], []
+    for package in (headway_envs, headway_algos):
+        folder = Path(package.__path__[0])
+        for file in folder.rglob("*.py"):
+            if "\ndef warm(" in file.read_text(encoding="utf-8"):
+                parts = file.relative_to(folder.parent).with_suffix("").parts
+                written.append(".".join(parts).removesuffix(".__init__"))
+    for module in written:
+        monkeypatch.setattr(f"{module}.warm", partial(warmed.append, module))
+    compile_all_kernels()
+    assert sorted(warmed) == sorted(written)
+    assert len(written) > 3

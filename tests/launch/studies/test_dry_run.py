@@ -13,7 +13,8 @@ from headway.training.loop import TrainingJob
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 from headway_launch.runner.calibration import Pace, Trial, calibrate
-from headway_launch.runner.jobs import CellPlan, CoreShares
+from headway_launch.runner.cores import CoreShares
+from headway_launch.runner.jobs import CellPlan
 from headway_launch.runner.training_process import TrainingProcess, Work
 from headway_launch.studies.dry_run import makespan, spans
 
@@ -58,21 +59,21 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
 
     monkeypatch.setattr(EnergyMeter, "finish", watched)
     monkeypatch.setattr("headway_launch.runner.calibration.uses_gpu", lambda job: True)
-    sweep = ("sweep", "env=trivial", "algo=ippo,ia2c", "seed=0..2", "rollout=short", "env_steps=1e6",
+    sweep = ("sweep", "env=trivial", "algo=ippo,ia2c", "seed=0..2", "rollout.steps=128", "env_steps=1e6",
              "backend=serial", "energy=off", "evaluation.episodes=1")  # fmt: skip
     sweep = (*sweep, f"store.root={tmp_path / 'runs'}")
     assert run([*sweep, "--dry-run"]) == 0
     shown = capsys.readouterr()
     listed, estimated = shown.out.split("\n\n")[:2]
     header, *rows = [line.split("\t") for line in listed.splitlines()]
-    assert header == ["cell", "seeds", "runs", "action"]
-    assert rows == [[algo, "0..2", "3", "train"] for algo in ("ippo", "ia2c")]
+    assert header == ["cell", "iteration", "seeds", "runs", "action"]
+    assert rows == [[algo, "8 x 128 steps", "0..2", "3", "train"] for algo in ("ippo", "ia2c")]
     header, *rows = [line.split("\t") for line in estimated.splitlines()]
-    assert header == ["cell", "trainings", "s each", "total CPU s", "total kWh"]
+    assert header == ["cell", "jobs", "s per job", "total CPU s", "total kWh"]
     assert [row[:2] for row in rows] == [["ippo", "3"], ["ia2c", "3"]]
     assert all(float(row[2]) > 1 and float(row[3]) > 3 and row[4:] == [""] for row in rows)
     assert {"measuring ippo", "measuring ia2c"} <= set(shown.err.splitlines())
-    assert "6 trainings" in shown.out
+    assert "6 jobs" in shown.out
     assert "trains a stack" not in shown.out
     assert "measured on this machine; on a cluster" not in shown.out
     assert "energy not measured" in shown.out
@@ -102,7 +103,7 @@ def test_cells_share_the_processes_that_measure_them(
 
     monkeypatch.setattr(TrainingProcess, "__init__", counted)
     monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", kept)
-    sweep = ("sweep", "env=trivial", "algo=ippo,ia2c,mappo,maa2c,coma", "seed=0..9", "rollout=short",
+    sweep = ("sweep", "env=trivial", "algo=ippo,ia2c,mappo,maa2c,coma", "seed=0..9", "rollout.steps=128",
              "env_steps=1e6", "backend=serial", "backend.parallel=2", "energy=off")  # fmt: skip
     assert run([*sweep, f"store.root={tmp_path / 'runs'}", "--dry-run"]) == 0
     assert len(started) == 2
@@ -122,17 +123,28 @@ def test_run_and_search_have_a_dry_run(
     root = tmp_path / "runs"
     assert run([*words, "env_steps=2048", "energy=off", f"store.root={root}", "--dry-run"]) == 0
     shown = capsys.readouterr().out
-    assert shown.startswith("cell\tseeds\truns\taction\n")
+    assert shown.startswith("cell\titeration\tseeds\truns\taction\n")
     assert "\ttrain\n" in shown
     assert "The estimate is from" in shown
     assert not root.exists()
 
 
-@pytest.mark.slow
 def test_the_estimate_explains_stacks_and_the_place_of_measurement(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ["sweep", "env=trivial", "algo=ippo", "seed=0..4", "rollout=short", "env_steps=1e6", "energy=off"]
+    def measured(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, Pace], str]:
+        return {id(cell): PACE for cell in cells}, "CPU estimated"
+
+    monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", measured)
+    words = [
+        "sweep",
+        "env=trivial",
+        "algo=ippo",
+        "seed=0..4",
+        "rollout.steps=16",
+        "env_steps=1e6",
+        "energy=off",
+    ]
     words += [
         "backend=ray",
         "backend.workers=1",
@@ -143,7 +155,7 @@ def test_the_estimate_explains_stacks_and_the_place_of_measurement(
     words += [f"store.root={tmp_path / 'runs'}"]
     assert run([*words, "--dry-run"]) == 0
     shown = capsys.readouterr().out
-    assert "5 runs in 2 trainings: each trains a stack of up to 3 seeds (backend.stack)" in shown
+    assert "5 runs in 2 jobs: a job trains up to 3 seeds at once (backend.stack)" in shown
     assert "It was measured on this machine; on a cluster" in shown
 
 

@@ -17,7 +17,7 @@ from headway_launch.experiments.compose import Experiment
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 from headway_launch.experiments.sweep import compose_sweep
 from headway_launch.runner.cell import SessionCell
-from headway_launch.runner.jobs import CoreShares, workers_of
+from headway_launch.runner.cores import CoreShares, workers_of
 from headway_launch.studies.plan import StudyProgress, keep_plan, kept_plans, plan_cells
 from headway_launch.studies.session import require_all_ended
 
@@ -211,8 +211,8 @@ def test_a_finished_sweep_is_skipped_and_its_table_printed(
 
 
 HELD = (
-    "headway: 1 run of study toys, left to other sessions: not finished (held by process 1 on elsewhere); "
-    "repeat this command when these sessions have ended; if one was killed, repeat it on that host or set "
+    "headway: 1 run of study toys not finished, in other sessions (process 1 on elsewhere); "
+    "repeat this command when these have ended; if one was killed, repeat it on that host or set "
     '"status": "KILLED" in its runs\' run.json'
 )
 
@@ -220,7 +220,8 @@ HELD = (
 def test_runs_of_another_session_are_an_error_with_a_way_to_continue(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    sweep = [*BASE, "algo=ippo", "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
+    small = ("env_steps=64", "rollout.copies=4", "rollout.block=2", "rollout.steps=16")
+    sweep = [*BASE, "algo=ippo", *small, "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
     [experiment] = compose_sweep(sweep)
     keep_run(tmp_path, experiment, 0, "FINISHED")
     held = keep_run(tmp_path, experiment, 1, "RUNNING")
@@ -239,7 +240,8 @@ def test_runs_of_another_session_are_an_error_with_a_way_to_continue(
     )
     [record] = tmp_path.rglob(f"{held}/run.json")
     record.write_text(record.read_text().replace('"RUNNING"', '"KILLED"'))
-    assert [run.record.run_id for run in progress(tmp_path, "algo=ippo", "seed=1").unfinished] == [held]
+    [killed] = progress(tmp_path, "algo=ippo", *small, "seed=1").unfinished
+    assert killed.record.run_id == held
     assert run(["sweep", *sweep]) == 0
     assert [row.status for row in RunIndex(tmp_path).rows()] == ["FINISHED", "FINISHED"]
 
@@ -248,7 +250,7 @@ def test_runs_that_another_session_has_finished_are_no_error(tmp_path: Path) -> 
     [experiment] = compose_sweep([*BASE, "algo=ippo"])
     held = keep_run(tmp_path, experiment, 0, "RUNNING")
     [record] = tmp_path.rglob(f"{held}/run.json")
-    with pytest.raises(HeadwayError, match=r"^1 run of study toys, left to other sessions: not finished"):
+    with pytest.raises(HeadwayError, match=r"^1 run of study toys not finished, in other sessions"):
         require_all_ended("toys", [record.parent])
     assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 2  # of no sweep
     record.write_text(record.read_text().replace('"RUNNING"', '"FINISHED"'))

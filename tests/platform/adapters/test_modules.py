@@ -3,6 +3,7 @@
 import pickle
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from headway_envs.toy.matrix import MatrixConfig
 
 SPREAD = "mpe2.simple_spread_v3"
 KNIGHTS = "pettingzoo.butterfly.knights_archers_zombies_v11"
-DEADLY = {"max_cycles": 300, "line_death": True, "spawn_delay": 5}
+DEADLY = {"max_cycles": 200, "line_death": True, "spawn_delay": 5}
 PAD = ["pad_observations_v0", "pad_action_space_v0"]
 
 MODULES = {
@@ -66,6 +67,47 @@ MODULES = {
         def parallel_env(size: tuple[int, ...] = (3, 3), local: bool = False, factory=object()):
             assert isinstance(size, tuple)
             return simple_spread_v3.parallel_env(N=size[0], local_ratio=0.5 if local else 0.0)
+    """,
+    "paid_v0": """
+        import time
+        from gymnasium import spaces
+        from pettingzoo import ParallelEnv
+
+        class Paid(ParallelEnv):
+            metadata = {"name": "paid_v0"}
+            steps = 0
+
+            def __init__(self, pays, seconds):
+                self.pays, self.seconds = pays, seconds
+                self.possible_agents = ["a", "b"][: len(pays)]
+
+            def observation_space(self, agent):
+                return spaces.Box(-1.0, 1.0, (1,))
+
+            def action_space(self, agent):
+                return spaces.Discrete(2)
+
+            def observe(self):
+                return {agent: [0.0] for agent in self.agents}, {agent: {} for agent in self.agents}
+
+            def reset(self, seed=None, options=None):
+                self.agents, self.time = list(self.possible_agents), 0
+                return self.observe()
+
+            def step(self, actions):
+                time.sleep(self.seconds)
+                Paid.steps += 1
+                self.time += 1
+                live = list(self.agents)
+                left = {agent: agent == "b" and self.time > 3 for agent in live}
+                over = dict.fromkeys(live, self.time >= 8)
+                rewards = {agent: pay - 0 * pay for agent, pay in zip(live, self.pays)}  # inf: NaN
+                observations, infos = self.observe()
+                self.agents = [agent for agent in live if not left[agent] and not over[agent]]
+                return observations, rewards, left, over, infos
+
+        def parallel_env(pays: tuple[float, ...] = (1.0, 1.0), seconds: float = 0.0):
+            return Paid(pays, seconds)
     """,
 }
 
@@ -228,6 +270,45 @@ def test_a_shared_reward_is_checked_against_the_rewards(zoo: str) -> None:
         play(lambda copies: make_batch(selfish, copies))
 
 
+SHARED = "set env.shared_reward=true"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [({}, True), ({"local": True}, False)],
+    ids=["team", "individual"],
+)
+def test_equal_rewards_are_noticed(zoo: str, arguments: dict[str, Any], said: bool) -> None:
+    [*lines] = prepared(f"{zoo}.team_v0", **arguments).notices
+    assert [SHARED in line for line in lines] == [True] * said
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_what_the_user_said_of_rewards_is_not_doubted(zoo: str, shared: bool) -> None:
+    assert prepared(f"{zoo}.team_v0", AdapterOptions(shared_reward=shared)).notices == ()
+
+
+def test_equal_rewards_are_noticed_behind_wrappers(zoo: str) -> None:
+    """Also where the environment cannot be played without them; SuperSuit's or batched ones."""
+    for names in (["frame_stack_v1"], ["black_death_v3"]):
+        entry = module_entry(f"{zoo}.paid_v0")
+        wrapped = wrapped_entry("paid", entry, listed_wrappers([{"name": name} for name in names]))
+        assert [SHARED in line for line in wrapped.prepare(wrapped.config()).notices] == [True]
+
+
+@pytest.mark.parametrize("pays", [(0.0, 0.0), (1.0, 2.0), (1.0,), (float("inf"), float("inf"))])
+def test_rewards_that_show_no_team_are_not_noticed(zoo: str, pays: tuple[float, ...]) -> None:
+    """Nothing was paid, or not the same, or there is but one agent."""
+    assert prepared(f"{zoo}.paid_v0", pays=pays).notices == ()
+
+
+def test_a_slow_environment_is_not_played_for_long(zoo: str) -> None:
+    begun = time.monotonic()
+    assert len(prepared(f"{zoo}.paid_v0", seconds=0.5).notices) == 1
+    assert time.monotonic() - begun < 6
+    assert 1 < sys.modules[f"{zoo}.paid_v0"].Paid.steps < 8
+
+
 def test_unequal_agents_are_named_and_padding_makes_them_equal() -> None:
     entry = module_entry("mpe2.simple_tag_v3")
     with pytest.raises(
@@ -267,7 +348,7 @@ def test_dead_knights_leave_or_stay(kept: bool) -> None:
     config = build(entry.config, DEADLY, "", KNIGHTS)
     wrapped = wrapped_entry(KNIGHTS, entry, listed_wrappers(["black_death_v3"] if kept else []))
     shared = wrapped.prepare(config)
-    recording = play(lambda copies: wrapped.make(shared, copies), copies=2, max_steps=700)
+    recording = play(lambda copies: wrapped.make(shared, copies), copies=1, max_steps=400)
     track, ended = recording.trajectory, recording.episode_ended
     assert ended.any()
     over = (track.terminated | track.truncated) & ~ended[..., None]

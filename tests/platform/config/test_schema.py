@@ -52,6 +52,15 @@ def test_nested_records_tuples_and_unions_are_built() -> None:
     assert build(Outer, {"limit": None}).limit is None
 
 
+def test_nan_is_refused() -> None:
+    value = float("nan")
+    for settings, key in (({"lr": value}, "lr"), ({"limit": value}, "limit"), ({"extra": {"a": value}}, "a")):
+        with pytest.raises(HeadwayError, match=f"{key} must be a number, not nan"):
+            build(Outer, settings)
+    with pytest.raises(HeadwayError, match="must be a number, not nan"):
+        build(Outer, {"inner": {"window": [1.0, value]}})
+
+
 def test_a_plain_record_builds_the_same_record_again() -> None:
     record = Outer(hidden=(8, 8), inner=Inner(share=0.25))
     assert build(Outer, plain(record)) == record
@@ -98,7 +107,9 @@ def test_another_value_of_a_fixed_key_names_the_alternative() -> None:
     assert build(Fixed, {"shape": "round"}).shape == "round"
     with pytest.raises(HeadwayError) as caught:
         build(Fixed, {"shape": "edged"}, "algo", "circle")
-    line = "algo.shape='edged' is not possible, circle has round: A circle. For corners take the square."
+    line = (
+        "algo.shape='edged' is not possible: circle has shape=round. A circle. For corners take the square."
+    )
     assert str(caught.value) == line
 
 

@@ -58,7 +58,9 @@ def test_two_nodes_lost_in_mid_iteration_do_not_change_the_data(nodes: "Cluster"
         finally:
             collector.close()
     assert_same(given["process"], given["ray"])
-    assert lost <= len(notices) <= 2 * lost
-    for notice in notices:
+    # On a busy machine a worker may also report that it waits for free CPUs.
+    replaced = [notice for notice in notices if "waits for free CPUs" not in notice]
+    assert lost <= len(replaced) <= 2 * lost
+    for notice in replaced:
         assert "node" in notice
         assert notice.endswith("replaced, repeating its part from the last snapshot")

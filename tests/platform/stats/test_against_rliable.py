@@ -15,7 +15,7 @@ from headway.stats import (
 
 Scores = NDArray[np.float64]
 pytestmark = pytest.mark.filterwarnings("ignore:random_state is deprecated:FutureWarning")
-SHAPES = [(10, 1), (7, 3), (50, 4)]
+SHAPES = [(7, 3), *(pytest.param(*shape, marks=pytest.mark.slow) for shape in ((10, 1), (50, 4)))]
 
 
 def drawn(runs: int, tasks: int, seed: int = 0) -> Scores:
@@ -72,6 +72,7 @@ def test_performance_profiles_and_their_intervals() -> None:
     np.testing.assert_allclose(np.stack([ours.low, ours.high]), found["a"], atol=0.04)
 
 
+@pytest.mark.slow
 def test_sample_efficiency_is_the_interquartile_mean_along_the_curve() -> None:
     """As in rliable's example: the metric at each frame, with whole runs resampled."""
     generator = np.random.default_rng(3)

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from covering import pairwise
+from covering import pairwise, quick_or_slow
 from scipy import stats as scipy_stats
 
 from headway.stats import (
@@ -111,7 +111,15 @@ def test_paired_difference_is_the_t_interval() -> None:
 
 
 @pytest.mark.parametrize(
-    ("effects", "seeds", "days"), pairwise([(1, 0), (1, 1), (1, 3), (0, 1)], [2, 3, 5, 10], [10, 200])
+    ("effects", "seeds", "days"),
+    quick_or_slow(
+        {
+            f"{effects}-{seeds}-{days}": (effects, seeds, days)
+            for effects, seeds, days in pairwise([(1, 0), (1, 1), (1, 3), (0, 1)], [2, 3, 5, 10], [10, 200])
+        },
+        "(1, 0)-2-10",
+        "(1, 3)-5-10",
+    ),
 )
 def test_intervals_over_seeds_and_episodes_cover_the_truth(
     effects: tuple[float, float], seeds: int, days: int

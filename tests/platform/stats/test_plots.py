@@ -42,7 +42,16 @@ def _assert_readable(figure: Figure) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("kind", ["curves", "intervals", "profiles", "footprint", "cost", "components"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "cost",
+        *(
+            pytest.param(kind, marks=pytest.mark.slow)
+            for kind in ("curves", "intervals", "profiles", "footprint", "components")
+        ),
+    ],
+)
 def test_plots_of_twelve_cells_with_long_names_are_readable(kind: str) -> None:
     names = [LONG.format(place) for place in range(12)]
     styles, rules = colours(names), {f"rule_{place}": float(place) for place in range(9)}

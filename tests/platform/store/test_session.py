@@ -27,17 +27,9 @@ from headway.store.tracking.thread import TrackingTask
 ITERATIONS = 40
 
 
-@pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An empty MLflow database, created once because that takes a second."""
-    root = tmp_path_factory.mktemp("prepared")
-    Tracker(root)
-    return root / "mlflow.db"
-
-
 @pytest.fixture
-def root(tmp_path: Path, prepared: Path) -> Path:
-    (tmp_path / "mlflow.db").write_bytes(prepared.read_bytes())
+def root(tmp_path: Path) -> Path:
+    """Root of a new store."""
     return tmp_path
 
 
@@ -209,6 +201,7 @@ def _statuses(root: Path) -> list[str]:
 
 
 def test_a_failing_mlflow_is_a_notice_and_sync_repairs_it(root: Path) -> None:
+    Tracker(root)
     whole = (root / "mlflow.db").read_bytes()
     (root / "mlflow.db").write_bytes(b"no database at all" * 100)
     store = SessionStore.open(StoreConfig(root=str(root)))
@@ -376,6 +369,7 @@ time.sleep(60)
 """
 
 
+@pytest.mark.slow
 def test_a_killed_session_leaves_a_run_that_can_be_resumed(root: Path) -> None:
     session = subprocess.Popen(
         [sys.executable, "-c", _KILLED, str(root), str(Path(__file__).parent)],

@@ -26,7 +26,7 @@ from rehearsal import (
     TediousVisitors,
     parameters_of,
 )
-from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
+from runs import COPIES, GRU, STEPS, Backend, Log, job_of, logs_of, trained
 
 from headway.config.experiment import BackendConfig
 from headway.contracts import Contribution, Contributor, EnvSpec, HeadwayError, Trajectory
@@ -55,13 +55,13 @@ def _job(
     **choices: Any,  # noqa: ANN401 - those of `job_of`
 ) -> TrainingJob:
     """A job of `job_of`, but of any algorithm; a3c has one worker per block of its four copies."""
-    entry, model = ENTRIES[algorithm], ModelConfig((8,), core=core, gru_size=4, sequence_length=6)
+    entry, model = ENTRIES[algorithm], ModelConfig((8,), core=core, **(GRU if core == "gru" else {}))
     more: dict[str, Any] = {"application": application} if algorithm == "a3c" else {}
     return replace(
         job_of(folder, **choices),
         make_policy=entry.acting_policy,
         make_learner=entry.learner,
-        algo_config=entry.config(model=model, epochs=1, minibatches=1, **more),
+        algo_config=entry.config(model=model, **more),
         make_contributor=entry.contributor,
         contributor_preload=entry.preload,
     )
@@ -282,7 +282,7 @@ def test_a_worker_that_hangs_delays_no_other_and_workers_stay_small(tmp_path: Pa
     learner: Any = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu")
     with _opened(job, []) as contributors:
         first, second = map(psutil.Process, contributors.pool.process_ids())
-        mode = AsynchronousMode(learner, contributors)
+        mode = AsynchronousMode(learner, contributors, iterations=1000)
         mode.iterate(1, 0.0)
         first.suspend()
         meanwhile = [mode.iterate(i, 0.0) for i in range(2, 5)]
@@ -454,7 +454,7 @@ def test_staleness_is_the_number_of_updates_since_the_parameters_were_published(
     learner: Any = _Recorder(in_turns=False)
     scripted: Any = _Scripted([2, 2, 0, 2, 1, 1])
     contributors: Contributors = scripted
-    mode = AsynchronousMode(learner, contributors)
+    mode = AsynchronousMode(learner, contributors, iterations=1000)
     assert not mode.deterministic
     one, two = mode.iterate(1, 0.0), mode.iterate(2, 0.5)
     assert [of for of, _, _ in learner.applied] == ["2@0", "2@1", "0@0", "2@2", "1@0", "1@5"]

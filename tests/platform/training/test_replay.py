@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from covering import pairwise
 from rehearsal import TOYS, FaultConfig, FaultyVisitors
 from runs import Log, job_of, logs_of, trained
 
@@ -61,9 +62,7 @@ def test_worker_processes_change_nothing(whole: dict[str, Log], tmp_path: Path, 
     assert logs_of(job) == [whole[algorithm]]
 
 
-@pytest.mark.parametrize("backend", ["serial", "process"])
-@pytest.mark.parametrize("stop", [1, 3])
-@every_algorithm
+@pytest.mark.parametrize(("algorithm", "backend", "stop"), pairwise(TASKS, ["serial", "process"], [1, 3]))
 def test_stopped_and_resumed_equals_never_stopped(
     whole: dict[str, Log], tmp_path: Path, algorithm: str, backend: str, stop: int
 ) -> None:
@@ -85,7 +84,7 @@ def test_a_worker_killed_in_mid_iteration_does_not_change_the_curve(
 
 
 @every_algorithm
-def test_experience_is_kept_with_the_last_two_checkpoints_and_removed_at_the_end(
+def test_the_replay_buffer_is_kept_with_the_last_two_checkpoints_and_removed_at_the_end(
     tmp_path: Path, algorithm: str
 ) -> None:
     job = _job(algorithm, tmp_path, seeds=(5, 6))
@@ -94,17 +93,17 @@ def test_experience_is_kept_with_the_last_two_checkpoints_and_removed_at_the_end
     assert _files(tmp_path, 5) == [*kept, "experience-000004.pt", "experience-000005.pt"]
     assert _files(tmp_path, 6) == kept  # one file for the stack
     checkpoints = tmp_path / "5" / "checkpoints"
-    assert "experience" not in load_latest(checkpoints)[1]
+    assert "replay" not in load_latest(checkpoints)[1]
     trained(replace(job, resume=True))
     assert _files(tmp_path, 5) == _files(tmp_path, 6) == ["checkpoint-000005.pt", "checkpoint-000006.pt"]
 
 
-def test_experience_is_removed_even_if_the_session_died_just_after_the_last_checkpoint(
+def test_the_replay_buffer_is_removed_even_if_the_session_died_just_after_the_last_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = _job("madqn", tmp_path)
     with monkeypatch.context() as dying:
-        dying.setattr("headway.training.loop.remove_experience", _die)
+        dying.setattr("headway.training.loop.remove_replay", _die)
         with pytest.raises(KeyboardInterrupt):
             trained(job)
     left = ["checkpoint-000004.pt", "checkpoint-000006.pt"]
@@ -118,7 +117,7 @@ def _die(directory: Path, gate: Path | None) -> None:
 
 
 @pytest.mark.parametrize("harm", ["cut", "removed"])
-def test_broken_experience_falls_back_to_the_checkpoint_before(
+def test_a_broken_replay_buffer_falls_back_to_the_checkpoint_before(
     whole: dict[str, Log], tmp_path: Path, harm: str
 ) -> None:
     job = _job("madqn", tmp_path)
@@ -135,7 +134,7 @@ def test_broken_experience_falls_back_to_the_checkpoint_before(
     assert logs_of(job) == [whole["madqn"]]
 
 
-def test_a_run_whose_experience_is_gone_says_so_in_one_line(tmp_path: Path) -> None:
+def test_a_run_whose_replay_buffer_is_missing_prints_one_line(tmp_path: Path) -> None:
     job = _job("madqn", tmp_path)
     trained(job, stop_after=4)
     for path in (tmp_path / "5" / "checkpoints").glob("experience-*.pt"):

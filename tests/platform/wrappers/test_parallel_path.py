@@ -28,6 +28,8 @@ from headway.wrappers.supersuit import supersuit_entries
 from headway.wrappers.wrapped_env import make_wrapped, wrapped_entry
 from headway_envs.registry import ENTRIES
 
+SHORT = {"agents": 4, "steps": 12}
+"""Arguments of `visitors`."""
 STACK = {"name": "frame_stack_v1", "stack_size": 2}
 DELAY = {"name": "delay_observations_v0", "delay": 1}
 KEEPS_THE_GAME: dict[str, list[Any]] = {
@@ -49,10 +51,10 @@ KEEPS_THE_GAME: dict[str, list[Any]] = {
 def test_wrappers_pass_infos_on(case: str) -> None:
     """Everything except observations is unchanged; `visitors` uses every key."""
     entry = ENTRIES["visitors"]
-    make, config = entry.parallel_env, entry.config()
+    make, config = entry.parallel_env, entry.config(**SHORT)
     assert make is not None
     plain = play(lambda copies: ParallelEnvBatch(lambda: make(config), copies, "visitors"))
-    wrapped = pickle.loads(pickle.dumps(prepared("visitors", entry, KEEPS_THE_GAME[case])))
+    wrapped = pickle.loads(pickle.dumps(prepared("visitors", entry, KEEPS_THE_GAME[case], **SHORT)))
     assert wrapped.parallel is not None
     other = play(wrapped.batch)
     assert other.spec.metrics == plain.spec.metrics
@@ -98,7 +100,7 @@ def test_a_delayed_stack_is_the_previous_stack() -> None:
 def test_mixed_lists_equal_supersuit() -> None:
     """Splitting a list has no effect: [delay, indicator, stack] against SuperSuit's three."""
     listed = listed_wrappers(KEEPS_THE_GAME["around delay"])
-    make, config = ENTRIES["visitors"].parallel_env, ENTRIES["visitors"].config()
+    make, config = ENTRIES["visitors"].parallel_env, ENTRIES["visitors"].config(**SHORT)
     assert make is not None
 
     def all_three() -> Any:  # noqa: ANN401 - PettingZoo comes without types
@@ -107,7 +109,7 @@ def test_mixed_lists_equal_supersuit() -> None:
             env = wrapper.entry.wrap(env, wrapper.arguments)
         return env
 
-    split = play(prepared("visitors", ENTRIES["visitors"], KEEPS_THE_GAME["around delay"]).batch)
+    split = play(prepared("visitors", ENTRIES["visitors"], KEEPS_THE_GAME["around delay"], **SHORT).batch)
     whole = play(lambda copies: ParallelEnvBatch(all_three, copies, "visitors"))
     live = whole.trajectory.alive
     np.testing.assert_array_equal(split.trajectory.observations[live], whole.trajectory.observations[live])
@@ -214,9 +216,9 @@ def test_without_a_parallel_env_only_batched_wrappers_work() -> None:
 def test_rules_inspect_the_unwrapped_environment(name: str, wrappers: list[Any]) -> None:
     """They read the same observations and get the same returns in the same episodes."""
     entry = ENTRIES[name]
-    rule = {"bus": "headway_holding_0.9"}.get(name, "optimal")
+    rule, small = {"bus": ("headway_holding_0.9", {"end_hour": 8})}.get(name, ("optimal", {}))
     wrapped = wrapped_entry(name, entry, listed_wrappers(wrappers))
-    shared = wrapped.prepare(entry.config())
+    shared = wrapped.prepare(entry.config(**small))
     rows = evaluate_rule(wrapped.make, wrapped.rules[rule].make, shared, root=3, episodes=2)
     if shared.parallel is None:
         expected = evaluate_rule(entry.make, entry.rules[rule].make, shared.prepared, root=3, episodes=2)

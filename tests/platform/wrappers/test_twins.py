@@ -8,8 +8,7 @@ import pytest
 from same_game import assert_same_game, prepared, through_supersuit
 
 from headway.adapters.conformance import CHECKS, play
-from headway.contracts import EnvSpec, HeadwayError, ObservationBounds
-from headway.wrappers.batch import BatchWrapper
+from headway.contracts import BatchWrapper, EnvSpec, HeadwayError, ObservationBounds
 from headway.wrappers.listed import listed_wrappers
 from headway.wrappers.parallel import bounds_of
 from headway_envs.registry import ENTRIES
@@ -48,7 +47,7 @@ CASES: dict[str, tuple[str, list[Any]]] = {
     "all visitors": ("visitors", [STACK, STACK_REPEATING, "agent_indicator_v0", SCALE, CLIP]),
 }
 
-SHORT: dict[str, dict[str, Any]] = {"intersection": {"horizon": 300}, "bus_published": {"scenario": "line"}}
+SHORT: dict[str, dict[str, Any]] = {"intersection": {"horizon": 150}, "bus_published": {"scenario": "line"}}
 """Arguments of environments whose episodes are long."""
 
 

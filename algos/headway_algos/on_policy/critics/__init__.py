@@ -1,17 +1,20 @@
-"""Critics by name: estimation of advantages, and training of the value networks."""
+"""Critics: estimation of advantages, and training of value networks. The package itself imports no torch."""
 
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from __future__ import annotations
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from headway.contracts import EnvSpec, Trajectory
-from headway_algos.config import AlgoConfig
-from headway_algos.grouping import Grouping
-from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
-from headway_algos.on_policy.critics.estimate import CriticEstimate
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    import numpy as np
+    import torch
+    from numpy.typing import NDArray
+
+    from headway.contracts import EnvSpec, Trajectory
+    from headway_algos.grouping import Grouping
+    from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
+    from headway_algos.on_policy.critics.estimate import CriticEstimate
 
 
 class Critic(Protocol):
@@ -48,5 +51,5 @@ class Critic(Protocol):
         ...
 
 
-MakeCritic = Callable[[AlgoConfig, EnvSpec, Grouping, Sequence[int], torch.device, torch.dtype], Critic]
+MakeCritic: TypeAlias = "Callable[[Any, EnvSpec, Grouping, Sequence[int], torch.device, torch.dtype], Critic]"
 """(config, environment, grouping of agents by policy, seeds of the replicas, device, dtype) -> critic."""

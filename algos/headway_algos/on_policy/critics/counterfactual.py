@@ -13,9 +13,9 @@ from headway.contracts import Discrete, EnvSpec, Trajectory, generator
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout
-from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
+from headway_algos.on_policy.critics.config import CounterfactualConfig
 from headway_algos.on_policy.critics.critic_inputs import CounterfactualInputs
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
@@ -42,7 +42,7 @@ class CounterfactualCritic:
 
     def __init__(
         self,
-        config: AlgoConfig,
+        config: CounterfactualConfig,
         spec: EnvSpec,
         grouping: Grouping,
         seeds: Sequence[int],
@@ -89,7 +89,7 @@ class CounterfactualCritic:
         random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
         batch = CriticBatch.of_steps(trajectory)
         assert batch.actions is not None
-        taken = batch.actions[..., None]
+        taken, probabilities = batch.actions[..., None], behaviour.probabilities(batch)
         rows = self._rows(batch)
 
         def value_of(batch: CriticBatch) -> NDArray[np.float64]:
@@ -99,16 +99,17 @@ class CounterfactualCritic:
 
         target_inputs = self.target.inputs(*rows)
         target_hidden_states = self.target.replay(target_inputs, trajectory, self.view, self.layout)
-        target_values = self._by_agent(self.target, target_inputs, batch, target_hidden_states)
-        target_values = np.take_along_axis(target_values, taken, axis=-1)[..., 0]
+        of_each = self._by_agent(self.target, target_inputs, batch, target_hidden_states)
+        target_values = np.take_along_axis(of_each, taken, axis=-1)[..., 0]
         target_advantages, present = lambda_advantages(
-            trajectory, self.view, target_values, value_of, self.config, self.spec, self.layout.replicas
-        )
+            trajectory, self.view, target_values, (probabilities * of_each).sum(axis=-1), value_of,
+            self.config, self.spec, self.layout.replicas,
+        )  # fmt: skip
         inputs = self.networks.inputs(*rows)
         hidden_states = self.networks.replay(inputs, trajectory, self.view, self.layout)
         action_values = self._by_agent(self.networks, inputs, batch, hidden_states)
         return CriticEstimate(
-            counterfactual_advantages(action_values, batch.actions, behaviour.probabilities(batch), present),
+            counterfactual_advantages(action_values, batch.actions, probabilities, present),
             np.take_along_axis(action_values, taken, axis=-1)[..., 0],
             target_advantages + target_values,
             present,

@@ -1,17 +1,18 @@
 """Network inputs of critics."""
 
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import ActionSpace, Box, Discrete, EnvSpec
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, MultiDiscrete
 from headway_algos.acting.mlp import actor_outputs
+from headway_algos.agent_id import agent_ids
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.batches.layout import zero_where_absent
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
+from headway_algos.on_policy.critics.config import CentralConfig
 
 
 class CriticInputs(Protocol):
@@ -21,8 +22,6 @@ class CriticInputs(Protocol):
     """Assignment of viewpoints to the critic networks of one replica."""
     viewpoints: int
     """W."""
-    team: bool
-    """The critic estimates the team's return, which continues to the end of the episode."""
     single: bool
     """One value per team: W is 1, and the value exists also while no agent is alive."""
     needs_actions: bool
@@ -39,10 +38,18 @@ class CriticInputs(Protocol):
         ...
 
 
+class MakeInputs(Protocol):
+    """Constructor of a critic's inputs."""
+
+    def __call__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> CriticInputs:
+        """Return the inputs for an environment's agents."""
+        ...
+
+
 class LocalInputs:
     """V(o): each agent's own observation, one critic per policy."""
 
-    team = single = needs_actions = False
+    single = needs_actions = False
 
     def __init__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> None:
         self.grouping, self.viewpoints = grouping, spec.num_agents
@@ -67,19 +74,22 @@ class CentralInputs:
     """
 
     def __init__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> None:
-        self.space, self.team = spec.action_space, spec.shared_reward
-        self.needs_actions = config.critic_actions == "others"
-        self.single = self.team and not self.needs_actions
+        self.space, team = spec.action_space, spec.shared_reward
+        self.needs_actions = isinstance(config, CentralConfig) and config.critic_actions == "others"
+        self.single = team and not self.needs_actions
         self.viewpoints = 1 if self.single else spec.num_agents
-        self.grouping = Grouping(np.arange(self.viewpoints)[None]) if self.team else grouping
+        self.grouping = Grouping(np.arange(self.viewpoints)[None]) if team else grouping
         self.has_state = spec.state_size > 0
-        self.own_observation = not self.team
-        self.feature_size = _state_size(spec) + (spec.observation_size if self.own_observation else 0)
+        self.own_observation = not team
+        self.joint_size = _joint_size(config, spec)
+        self.feature_size = (spec.state_size or spec.num_agents * self.joint_size) + (
+            spec.observation_size if self.own_observation else 0
+        )
         self.indicator_size = spec.num_agents * actor_outputs(spec) if self.needs_actions else 0
 
     def features(self, batch: CriticBatch) -> NDArray[np.float32]:
-        """Return the state for every viewpoint, with the agent's own observation without a team reward."""
-        state = _per_viewpoint(_state(batch, self.has_state), self.viewpoints)
+        """Return the state per viewpoint; with individual rewards, each agent's observation is appended."""
+        state = _per_viewpoint(_state(batch, self.has_state, self.joint_size), self.viewpoints)
         return np.concatenate([state, batch.observations], axis=-1) if self.own_observation else state
 
     def indicators(self, batch: CriticBatch) -> NDArray[np.float32] | None:
@@ -88,26 +98,26 @@ class CentralInputs:
 
 
 class CounterfactualInputs:
-    """Q(s, u^-a, o^a, id_a): state, own observation, the others' actions and the agent's index (Foerster et
-    al. 2018, arXiv:1705.08926, section 4).
+    """Q(s, u^-a, o^a, id_a): state, own observation, the others' actions and the agent's index.
 
-    With a shared team reward there is one critic per replica, trained on all agents' rows; with individual
-    rewards, one per policy.
+    Source: Foerster et al. 2018, arXiv:1705.08926, section 4. With a shared team reward there is one critic
+    per replica, trained on all agents' rows; with individual rewards, one per policy.
     """
 
     needs_actions, single = True, False
 
     def __init__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> None:
-        self.space, self.team, self.viewpoints = spec.action_space, spec.shared_reward, spec.num_agents
-        self.grouping = Grouping(np.arange(spec.num_agents)[None]) if self.team else grouping
+        self.space, self.viewpoints = spec.action_space, spec.num_agents
+        self.grouping = Grouping(np.arange(spec.num_agents)[None]) if spec.shared_reward else grouping
         self.has_state = spec.state_size > 0
-        self.feature_size = _state_size(spec) + spec.observation_size
+        self.joint_size = _joint_size(config, spec)
+        self.feature_size = (spec.state_size or spec.num_agents * self.joint_size) + self.joint_size
         self.indicator_size = spec.num_agents * (actor_outputs(spec) + 1)
 
     def features(self, batch: CriticBatch) -> NDArray[np.float32]:
         """Return state and own observation for every agent."""
-        state = _per_viewpoint(_state(batch, self.has_state), self.viewpoints)
-        return np.concatenate([state, batch.observations], axis=-1)
+        state = _per_viewpoint(_state(batch, self.has_state, self.joint_size), self.viewpoints)
+        return np.concatenate([state, batch.observations[..., : self.joint_size]], axis=-1)
 
     def indicators(self, batch: CriticBatch) -> NDArray[np.float32]:
         """Return the other agents' actions and the agent's index, both one-hot."""
@@ -116,15 +126,19 @@ class CounterfactualInputs:
         return np.concatenate([others_actions(batch, self.space), index], axis=-1)
 
 
-def _state_size(spec: EnvSpec) -> int:
-    return spec.state_size or spec.num_agents * spec.observation_size
+def _joint_size(config: AlgoConfig, spec: EnvSpec) -> int:
+    """Return D minus the columns of the agent's index, which joint inputs do not need."""
+    return spec.observation_size - int(agent_ids(config, spec).shape[1])
 
 
-def _state(batch: CriticBatch, has_state: bool) -> NDArray[np.float32]:
-    """Return states (M, C, S), or concatenated observations (M, C, N x D) without a state."""
+def _state(batch: CriticBatch, has_state: bool, size: int) -> NDArray[np.float32]:
+    """Return states (M, C, S) or, without a state, concatenated observations (M, C, N x size).
+
+    `size`: number of leading components of each observation to use.
+    """
     if has_state:
         return batch.states
-    joint = zero_where_absent(batch.observations, batch.in_joint)
+    joint = zero_where_absent(batch.observations[..., :size], batch.in_joint)
     return joint.reshape(*joint.shape[:2], -1)
 
 
@@ -136,26 +150,22 @@ def _per_viewpoint(features: NDArray[np.float32], viewpoints: int) -> NDArray[np
 def others_actions(batch: CriticBatch, space: ActionSpace) -> NDArray[np.float32]:
     """Return the other agents' actions (M, C, N, N x A), one block of A per agent.
 
-    Discrete actions are one-hot, Box actions clipped to the bounds. The agent's own block and those of absent
-    agents are 0. Actions that the environment did not use (`acting` false) are included: whether an action is
-    used is known only after the step, and may depend on the action being evaluated.
+    Discrete actions are one-hot, as is each choice of MultiDiscrete ones; Box actions are clipped to the
+    bounds. The agent's own block and those of absent agents are 0. Actions that the environment did not
+    use (`acting` false) are included: whether an action is used is known only after the step, and may
+    depend on the action being evaluated.
     """
     assert batch.actions is not None
     match space:
         case Discrete(n=n):
             chosen = (batch.actions[..., None] == np.arange(n)).astype(np.float32)
+        case MultiDiscrete(nvec=nvec):
+            each = [batch.actions[..., i, None] == np.arange(n) for i, n in enumerate(nvec)]
+            chosen = np.concatenate(each, axis=-1).astype(np.float32)
         case Box(low=low, high=high):
             chosen = np.clip(batch.actions, low, high).astype(np.float32)
-        case _:
-            raise TypeError(f"actions of {space} are not encoded")
     chosen = zero_where_absent(chosen, batch.in_joint)
     agents = chosen.shape[2]
     blocks = np.repeat(chosen[:, :, None], agents, axis=2)
     blocks[:, :, range(agents), range(agents)] = 0
     return blocks.reshape(*blocks.shape[:3], -1)
-
-
-VIEWS: dict[str, Callable[[AlgoConfig, EnvSpec, Grouping], CriticInputs]] = {
-    "local": LocalInputs,
-    "central": CentralInputs,
-}

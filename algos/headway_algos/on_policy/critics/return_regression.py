@@ -12,26 +12,38 @@ from torch import Tensor, nn
 from headway.contracts import Trajectory, generator
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.batches.hidden_states import HiddenStates
-from headway_algos.batches.layout import Layout, Piece, even_slices
+from headway_algos.batches.layout import Layout
+from headway_algos.batches.minibatches import Piece, even_slices, shuffled_epochs
+from headway_algos.batches.policy_stack import mean_per_replica
 from headway_algos.batches.sequences import learning_batches
-from headway_algos.config import AlgoConfig
-from headway_algos.networks.gru import RecurrentNetwork, make_network
+from headway_algos.components import component
+from headway_algos.networks.gru import RecurrentNetwork
+from headway_algos.networks.network import make_network
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.networks.timeline import Timeline
+from headway_algos.on_policy.critics.config import CriticConfig, KFACCriticConfig
 from headway_algos.on_policy.critics.critic_inputs import CriticInputs
 from headway_algos.on_policy.critics.estimate import CriticEstimate
-from headway_algos.on_policy.critics.reward_streams import RewardStreams, presence
+from headway_algos.on_policy.critics.reward_streams import presence, stream_begins
 from headway_algos.optim.adam import StackedAdam
-from headway_algos.optim.fast_path import regression
-from headway_algos.optim.gradient_steps import Learn, gradient_steps
+from headway_algos.optim.config import AdamConfig
+from headway_algos.optim.fast_path import Descent, regression
+from headway_algos.optim.gradient_steps import gradient_steps
 from headway_algos.optim.kfac_regression import KFACRegression
+
+RETURN_MEMORY, RETURN_BATCHES = 1000.0, 5.0
+"""Maximum total weight of all earlier batches in the statistics by which returns are normalised: in rows, and
+in batches like the new one, whichever is more.
+
+Returns change as policies learn. With equal weights, large early returns would dominate the scale for the
+rest of training; if only the last batch counted, the values learned so far would change with its scale."""
 
 
 class ReturnNetworks(nn.Module):
     """P value networks, with running statistics of their inputs and of returns."""
 
     def __init__(
-        self, config: AlgoConfig, view: CriticInputs, outputs: int, seeds: Sequence[int], layout: Layout
+        self, config: CriticConfig, view: CriticInputs, outputs: int, seeds: Sequence[int], layout: Layout
     ) -> None:
         super().__init__()
         self.config = config
@@ -41,7 +53,7 @@ class ReturnNetworks(nn.Module):
         self.carried: NDArray[Any] | None = None
         """(C, W, M): hidden states of recurrent networks after the last trajectory."""
         self.input_moments = RunningStatistics(len(seeds) * networks, view.feature_size)
-        self.return_moments = RunningStatistics(len(seeds) * networks, 1)
+        self.return_moments = RunningStatistics(len(seeds) * networks, 1, RETURN_MEMORY, RETURN_BATCHES)
         self.to(layout.device)
 
     def inputs(self, features: Tensor, indicators: Tensor | None) -> Tensor:
@@ -75,19 +87,16 @@ class ReturnNetworks(nn.Module):
     ) -> HiddenStates | None:
         """Return the hidden states along a trajectory, continued from the last one; None if not recurrent.
 
-        `inputs` (P, B, input_size) are those of its steps.
+        `inputs` (P, B, input_size) are the network inputs at its steps.
         """
         if not isinstance(self.network, RecurrentNetwork):
             return None
-        streams = RewardStreams.of(trajectory, view)
-        keeps = np.broadcast_to(streams.present[:-1], streams.rewards.shape)
+        keeps = presence(trajectory.alive[:-1], view)
         start = self.carried
         if start is None:
             start = np.zeros((*keeps.shape[1:], self.config.model.gru_size))
-        begins = streams.begins(trajectory, view)
-        return HiddenStates.replay(
-            self.network, inputs, start, begins, keeps, layout, self.config.piece_samples
-        )
+        begins, samples = stream_begins(trajectory, view), self.config.piece_samples
+        return HiddenStates.replay(self.network, inputs, start, begins, keeps, layout, samples)
 
     def carry(self, hidden_states: HiddenStates | None) -> None:
         """Store the hidden states at the end of this trajectory, from which the next one continues."""
@@ -108,7 +117,7 @@ class ReturnRegression:
 
     def __init__(
         self,
-        config: AlgoConfig,
+        config: CriticConfig,
         view: CriticInputs,
         seeds: Sequence[int],
         networks: ReturnNetworks,
@@ -116,7 +125,9 @@ class ReturnRegression:
     ) -> None:
         self.config, self.view, self.seeds = config, view, tuple(seeds)
         self.networks, self.layout = networks, layout
-        self.optimiser = _optimiser(config, networks.network)
+        self.optimiser: StackedAdam | KFACRegression = component("critic_update", config.critic_update).make(
+            config, networks.network, config.critic_lr or config.lr
+        )
 
     def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """Train on the returns where present; return metrics (R,).
@@ -137,20 +148,24 @@ class ReturnRegression:
         hidden_states, length = estimate.hidden_states, config.model.sequence_length
         sequences = None if hidden_states is None else hidden_states.sequences(layout, length)
         generators = self._generators(iteration)
-        compiled: Learn | None = None
+        descend: Descent | None = None
         if isinstance(self.optimiser, StackedAdam):
             network, optimiser = self.networks.network, self.optimiser
-            compiled = regression(network, optimiser, estimate.inputs, estimate.taken, targets, config)
-        batches = learning_batches(
-            selected, sequences, generators, config.epochs, config.minibatches,
-            None if compiled else config.piece_samples, layout,
-        )  # fmt: skip
-        learn = compiled or partial(self._learn, estimate=estimate, targets=targets)
-        (loss,), _ = gradient_steps(self.optimiser, batches, learn, 1)
+            descend = regression(
+                network, optimiser, estimate.inputs, estimate.taken, targets, config.value_clip
+            )
+        if descend is not None:
+            (loss,), _ = descend(shuffled_epochs(selected, generators, config.epochs, config.minibatches))
+        else:
+            batches = learning_batches(
+                selected, sequences, generators, config.epochs, config.minibatches,
+                config.piece_samples, layout,
+            )  # fmt: skip
+            learn = partial(self._learn, estimate=estimate, targets=targets)
+            (loss,), _ = gradient_steps(self.optimiser, batches, learn, 1)
         self.networks.carry(hidden_states)
-        by_network = loss.double().cpu().numpy().reshape(layout.replicas, -1)
         return {
-            "loss": by_network.mean(axis=1),
+            "loss": mean_per_replica(loss, layout.replicas),
             "explained_variance": explained_variance(estimate, layout.replicas),
         }
 
@@ -207,10 +222,14 @@ def squared_error(values: Tensor, targets: Tensor, bound: float | None) -> Tenso
     return error if bound is None else error.clamp(max=bound)
 
 
-def _optimiser(config: AlgoConfig, network: nn.Module) -> StackedAdam | KFACRegression:
-    if config.critic_update == "kfac":
-        return KFACRegression(network, config)
-    return StackedAdam(network.parameters(), config.critic_lr or config.lr, config.grad_clip)
+def adam(config: AdamConfig, network: nn.Module, lr: float) -> StackedAdam:
+    """Return the optimiser of `critic_update: adam`."""
+    return StackedAdam(network.parameters(), lr, config.grad_clip)
+
+
+def kfac(config: KFACCriticConfig, network: nn.Module, lr: float) -> KFACRegression:
+    """Return the optimiser of `critic_update: kfac`."""
+    return KFACRegression(network, config, lr, config.critic_kl_bound)
 
 
 def explained_variance(estimate: CriticEstimate, replicas: int) -> NDArray[np.float64]:

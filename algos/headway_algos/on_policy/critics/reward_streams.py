@@ -1,51 +1,16 @@
-"""Rewards and stream ends of a critic's viewpoints, and lambda-advantages on them."""
+"""Rewards and ends of returns from a critic's viewpoints, and lambda-advantages on them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import EnvSpec, Trajectory
 from headway_algos.batches.critic_batch import CriticBatch
-from headway_algos.batches.layout import Truncations
-from headway_algos.config import AlgoConfig
+from headway_algos.batches.stream_ends import Truncations, return_ends
+from headway_algos.on_policy.critics.config import CriticConfig
 from headway_algos.on_policy.critics.critic_inputs import CriticInputs
-from headway_algos.on_policy.gae import generalised_advantages, with_teammates_values
-
-
-@dataclass(frozen=True)
-class RewardStreams:
-    """Rewards, stream ends and presence for W viewpoints per copy."""
-
-    rewards: NDArray[np.float64]
-    """(T, C, W)"""
-    terminated: NDArray[np.bool_]
-    """(T, C, W)"""
-    truncated: NDArray[np.bool_]
-    """(T, C, W)"""
-    present: NDArray[np.bool_]
-    """(T + 1, C, W)"""
-
-    @classmethod
-    def of(cls, trajectory: Trajectory, view: CriticInputs) -> "RewardStreams":
-        """Return each agent's streams, or the team's, which lasts until the episode ends."""
-        rewards = trajectory.rewards.astype(np.float64)
-        terminated, truncated = trajectory.terminated, trajectory.truncated
-        if view.team:
-            ended = np.logical_or(terminated, truncated).all(axis=2, keepdims=True)
-            terminated = np.array(terminated.all(axis=2, keepdims=True))
-            truncated = np.logical_and(ended, ~terminated)
-            rewards = rewards[:, :, : view.viewpoints]
-            terminated, truncated = (np.broadcast_to(a, rewards.shape) for a in (terminated, truncated))
-        return cls(rewards, terminated, truncated, presence(trajectory.alive, view))
-
-    def begins(self, trajectory: Trajectory, view: CriticInputs) -> NDArray[np.bool_]:
-        """Return (T + 1, C, W): a stream begins with the step or, in the last row, right after it."""
-        first = trajectory.begins
-        if view.team:
-            first = np.broadcast_to(first.all(axis=2, keepdims=True), (*first.shape[:2], view.viewpoints))
-        return np.concatenate([first, self.terminated | self.truncated])
+from headway_algos.on_policy.gae import generalised_advantages, last_known_values, with_teammates_values
 
 
 def presence(alive: NDArray[np.bool_], view: CriticInputs) -> NDArray[np.bool_]:
@@ -53,41 +18,60 @@ def presence(alive: NDArray[np.bool_], view: CriticInputs) -> NDArray[np.bool_]:
     return np.ones((*alive.shape[:2], 1), np.bool_) if view.single else alive
 
 
+def stream_begins(trajectory: Trajectory, view: CriticInputs) -> NDArray[np.bool_]:
+    """Return (T + 1, C, W): an agent's stream, or a team's episode, begins with the step.
+
+    The last row is the time right after the last step.
+    """
+    begins = np.concatenate([trajectory.begins, trajectory.terminated | trajectory.truncated])
+    return np.array(begins.all(axis=2, keepdims=True)) if view.single else begins
+
+
 def lambda_advantages(
     trajectory: Trajectory,
     view: CriticInputs,
     values: NDArray[np.float64],
+    observed_values: NDArray[np.float64],
     value_of: Callable[[CriticBatch], NDArray[np.float64]],
-    config: AlgoConfig,
+    config: CriticConfig,
     spec: EnvSpec,
     replicas: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return generalised advantages (T, C, W) for values (T, C, W), and where they exist (T, C, W).
+    """Return generalised advantages (T, C, W) for values (T, C, W), and a mask (T, C, W) of where they exist.
 
     `value_of` computes values (M, C, W) of other time points: after the last step, and at the final
-    observations of truncated streams.
+    observations of truncated streams. `observed_values` (T, C, W) are the values before an action is chosen.
+
+    If an agent is absent after the last step but its return continues, it bootstraps from the mean value of
+    its present teammates or, without any, from the value of its own last observation. A value of 0 would make
+    absence look costly (or, with negative rewards, profitable), and more so the shorter the rollout; leaving
+    out the steps since that observation would select against long absences.
     """
-    streams = RewardStreams.of(trajectory, view)
+    used = values.shape[2]
+    rewards = trajectory.rewards[:, :, :used].astype(np.float64)
+    terminated, truncated = (ends[:, :, :used] for ends in return_ends(trajectory, spec))
+    present = presence(trajectory.alive, view)
+    # Trailing slots that were never alive may have been left out of the trajectory.
+    teams = () if view.single else spec.teams[:used]
     values = np.concatenate([values, value_of(CriticBatch.after_last_step(trajectory))])
     truncations = Truncations.of(trajectory, replicas)
-    final_values = np.zeros(streams.rewards.shape)
+    final_values = np.zeros(rewards.shape)
     if len(truncations):
         batch = CriticBatch.after_truncations(trajectory, truncations)
         final = value_of(batch)
-        if view.team and not view.single:
-            # A team's return continues for agents that are gone, but no critic is trained on what they
-            # observe.
-            of_teammates, known = with_teammates_values(final, batch.in_joint)
+        if teams:
+            # A team's return continues for agents that have left, but no critic is trained on their
+            # observations.
+            of_teammates, known = with_teammates_values(final, batch.in_joint, teams)
             final = np.where(known, of_teammates, final)
         final_values = truncations.put(final, final_values.shape)
-    present = streams.present
-    if (spec.shared_reward or spec.shared_in_groups) and not present[-1].all():
-        # Trailing slots that were never alive may have been left out of the trajectory.
-        teams = () if spec.shared_reward else spec.groups[: present.shape[2]]
-        values[-1], awaiting = with_teammates_values(values[-1], present[-1], teams)
-        present = np.concatenate([present[:-1], awaiting[None]])
+    here, known = present[:-1], present[-1]
+    if not known.all():
+        if teams:
+            values[-1], known = with_teammates_values(values[-1], known, teams)
+        values[-1] = np.where(known, values[-1], last_known_values(observed_values, here))
+        present = np.concatenate([here, np.ones_like(present[-1:])])
     advantages = generalised_advantages(
-        streams.rewards, values, final_values, streams.terminated, streams.truncated, present,
-        config.gamma, config.gae_lambda,
-    )  # fmt: skip
-    return advantages, present[:-1]
+        rewards, values, final_values, terminated, truncated, present, config.gamma, config.gae_lambda
+    )
+    return advantages, here

@@ -1,7 +1,7 @@
 """State-value critics: V(o) or V(s)."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -12,10 +12,10 @@ from headway.contracts import EnvSpec, Trajectory, generator
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout
-from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
-from headway_algos.on_policy.critics.critic_inputs import VIEWS
+from headway_algos.on_policy.critics.config import CriticConfig
+from headway_algos.on_policy.critics.critic_inputs import CentralInputs, LocalInputs, MakeInputs
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
 from headway_algos.on_policy.critics.reward_streams import lambda_advantages, presence
@@ -24,14 +24,17 @@ from headway_algos.on_policy.critics.reward_streams import lambda_advantages, pr
 class ValueCritic:
     """Stacked value networks with generalised advantage estimation (arXiv:1506.02438).
 
-    Inputs with the others' actions are bootstrapped with the actions taken at the next step. Where none was
-    taken (after the last step, at a final observation), they are sampled once from the behaviour policy, so
-    the bootstrap value is unbiased.
+    If inputs include the other agents' actions, the bootstrap value uses the actions taken at the next step.
+    Where none was taken (after the last step, at a final observation), they are sampled once from the
+    behaviour policy, so the bootstrap value is unbiased.
     """
+
+    inputs: ClassVar[MakeInputs]
+    """What the critic observes."""
 
     def __init__(
         self,
-        config: AlgoConfig,
+        config: CriticConfig,
         spec: EnvSpec,
         grouping: Grouping,
         seeds: Sequence[int],
@@ -39,7 +42,7 @@ class ValueCritic:
         dtype: torch.dtype,
     ) -> None:
         self.config, self.spec, self.seeds = config, spec, tuple(seeds)
-        self.view = VIEWS[config.critic](config, spec, grouping)
+        self.view = self.inputs(config, spec, grouping)
         self.layout = Layout(self.view.grouping, len(seeds), device, dtype)
         self.networks = ReturnNetworks(config, self.view, 1, seeds, self.layout)
         self.regression = ReturnRegression(config, self.view, seeds, self.networks, self.layout)
@@ -55,8 +58,8 @@ class ValueCritic:
     ) -> NDArray[np.float64]:
         """Return values (M, C, W), in units of return, for M = `points` time points.
 
-        `rows` (P, B, input_size) are network inputs, `hidden` (P, B, size) the hidden states before them,
-        `viewpoints` is W if fewer than all.
+        `rows` (P, B, input_size) are network inputs, `hidden` (P, B, size) the hidden states before them.
+        `viewpoints`: W, if the rows contain the first viewpoints only.
         """
         return self.layout.by_agent(self.networks.predict(rows, hidden)[:, 0], points, viewpoints)
 
@@ -80,7 +83,7 @@ class ValueCritic:
         hidden_states = self.networks.replay(inputs, trajectory, self.view, self.layout)
         values = self.values(inputs, len(trajectory.rewards), self._hidden(batch, hidden_states), viewpoints)
         advantages, present = lambda_advantages(
-            trajectory, self.view, values, value_of, self.config, self.spec, self.layout.replicas
+            trajectory, self.view, values, values, value_of, self.config, self.spec, self.layout.replicas
         )
         return CriticEstimate(
             advantages, values, advantages + values, present, inputs, hidden_states=hidden_states
@@ -105,3 +108,15 @@ class ValueCritic:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
         self.regression.load_state_dict(state)
+
+
+class LocalCritic(ValueCritic):
+    """V(o) of an agent's own observation."""
+
+    inputs = LocalInputs
+
+
+class CentralCritic(ValueCritic):
+    """V(s) of the global state."""
+
+    inputs = CentralInputs

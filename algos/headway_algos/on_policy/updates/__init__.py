@@ -1,18 +1,19 @@
-"""Policy updates by name."""
+"""Policy updates. The package itself imports no torch."""
 
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol, Self
+from __future__ import annotations
 
-import numpy as np
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias
 
-from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_batch import PolicyBatch
-from headway_algos.config import AlgoConfig
-from headway_algos.networks.actor import Actor
-from headway_algos.on_policy.updates.a2c import A2C
-from headway_algos.on_policy.updates.gradient_update import GradientUpdate
-from headway_algos.on_policy.updates.ppo import PPO
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    import numpy as np
+    from torch import Tensor
+
+    from headway_algos.batches.layout import Layout
+    from headway_algos.batches.policy_batch import PolicyBatch
+    from headway_algos.config import AlgoConfig
+    from headway_algos.networks.actor import Actor
 
 
 class Update(Protocol):
@@ -58,15 +59,5 @@ class Update(Protocol):
         ...
 
 
-def ppo_update(actor: Actor, config: AlgoConfig, layout: Layout) -> GradientUpdate:
-    """Return PPO: epochs of minibatch steps on the clipped surrogate."""
-    loss = PPO(config.clip, config.entropy_coeff)
-    return GradientUpdate(actor, config, layout, loss, config.epochs, config.minibatches, config.kl_coeff)
-
-
-def a2c_update(actor: Actor, config: AlgoConfig, layout: Layout) -> GradientUpdate:
-    """Return A2C: one step over an iteration's rows. `epochs` and `minibatches` are the critic's alone."""
-    return GradientUpdate(actor, config, layout, A2C(config.entropy_coeff))
-
-
-MakeUpdate = Callable[[Actor, AlgoConfig, Layout], Update]
+MakeUpdate: TypeAlias = "Callable[[Actor, Any, Layout], Update]"
+"""(actor, config, layout) -> update."""

@@ -11,12 +11,11 @@ from torch import Tensor
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
-from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import Distribution
 from headway_algos.networks.linearised import LinearisedMLP
-from headway_algos.on_policy.updates.a2c import A2C
-from headway_algos.on_policy.updates.policy_loss import Minibatch
+from headway_algos.on_policy.updates.losses import A2CLoss, Minibatch
+from headway_algos.on_policy.updates.natural_config import KFACConfig
 from headway_algos.optim.kfac import StackedKFAC
 
 Before = list[tuple[WholeBatch, Distribution]]
@@ -28,11 +27,11 @@ class KFAC:
 
     The Fisher information uses actions sampled anew from the policies, one per row; with the actions taken it
     would be the empirical Fisher matrix, which differs (Martens and Grosse 2015, arXiv:1503.05671, section
-    5). `epochs` and `minibatches` apply to the critic only.
+    5).
     """
 
-    def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
-        self.actor, self.config, self.loss = actor, config, A2C(config.entropy_coeff)
+    def __init__(self, actor: Actor, config: KFACConfig, layout: Layout) -> None:
+        self.actor, self.config, self.loss = actor, config, A2CLoss(config.entropy_coeff)
         self.optimiser = StackedKFAC(actor.network, actor.log_std, config, config.lr, config.kl_bound)
 
     def improve(
@@ -40,8 +39,8 @@ class KFAC:
     ) -> dict[str, Tensor]:
         """Take one step; `generators` sample the actions of the Fisher information.
 
-        Of the metrics, `kl` is the mean KL divergence of the step, `predicted_kl` its prediction, damping
-        included, and `step` is eta.
+        Metrics: `kl` is the mean KL divergence of the step, `predicted_kl` its prediction, damping included,
+        and `step` is eta.
         """
         batch = WholeBatch.of(rows, advantages)
         gradient, entropy, before = self._look(batch, _noise(batch, generators))
@@ -55,8 +54,11 @@ class KFAC:
         }
 
     def _look(self, batch: WholeBatch, noise: Tensor) -> tuple[list[Tensor], Tensor, Before]:
-        """Return the objective's gradient, in the order of the actor's learnable tensors, the mean entropy
-        (P,), and the distributions before the step; pass the Fisher information to the optimiser."""
+        """Pass the Fisher information to the optimiser; return gradient, entropy and distributions.
+
+        They are the objective's gradient, in the order of the actor's learnable tensors, the mean entropy
+        (P,), and the action distributions before the step.
+        """
         gradient = [torch.zeros_like(parameter) for parameter in self.actor.learnable]
         mean_entropy = batch.weight.new_zeros(len(batch.weight))
         before: Before = []
@@ -122,14 +124,11 @@ class KFAC:
 
 
 def _noise(batch: WholeBatch, generators: Sequence[np.random.Generator]) -> Tensor:
-    """Draw noise for sampling actions: uniforms (P, W) for Discrete, standard normals (P, W, A) for Box.
+    """Draw noise for sampling actions: standard normals (P, W, A) for Box, else uniforms shaped as actions.
 
-    float64. Each policy draws as many as it has rows, with its own generator.
+    In float64. Each policy's noise comes from its own generator, one draw per row of the policy.
     """
-    noise = np.zeros(batch.actions.shape)
+    noise, gaussian = np.zeros(batch.actions.shape), batch.actions.is_floating_point()
     for mine, count, random in zip(noise, (batch.weight > 0).sum(1).tolist(), generators, strict=True):
-        if mine.ndim == 1:
-            mine[:count] = random.random(count)
-        else:
-            mine[:count] = random.standard_normal((count, mine.shape[1]))
+        mine[:count] = (random.standard_normal if gaussian else random.random)(mine[:count].shape)
     return torch.from_numpy(noise).to(batch.weight.device)

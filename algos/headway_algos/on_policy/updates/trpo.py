@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -12,27 +11,11 @@ from torch import Tensor
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
-from headway_algos.config import AlgoConfig
 from headway_algos.networks.actor import Actor
-from headway_algos.networks.distributions import Distribution
-from headway_algos.on_policy.updates.policy_loss import Minibatch
+from headway_algos.on_policy.updates.losses import Minibatch, SurrogateLoss
+from headway_algos.on_policy.updates.natural_config import TRPOConfig
 from headway_algos.optim.conjugate_gradient import conjugate_gradient
 from headway_algos.optim.fisher import fisher_product, flat, unflat
-
-
-@dataclass(frozen=True)
-class Surrogate:
-    """-r A - entropy_coeff H, with r = pi(u|o) / pi_old(u|o); see `PolicyLoss`."""
-
-    entropy_coeff: float
-
-    reports: ClassVar[tuple[str, ...]] = ("entropy",)
-
-    def __call__(self, new: Distribution, batch: Minibatch) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss and the entropy."""
-        ratio = (new.log_prob(batch.actions) - batch.log_probs).exp()
-        entropy = new.entropy()
-        return -ratio * batch.advantages - self.entropy_coeff * entropy, {"entropy": entropy}
 
 
 class TRPO:
@@ -42,13 +25,12 @@ class TRPO:
     for the damped Fisher information F; the step is sqrt(2 delta / x^T F x) x, halved until the mean
     KL(pi_old || pi) is at most delta and L rises by at least `accept_ratio` of its first-order expectation
     (appendix C). The line search is per policy; a policy that accepts no step stays exactly unchanged. As in
-    the author's code, damping also enters the step length, which bounds the step where F vanishes. `epochs`
-    and `minibatches` apply to the critic only; `kl_coeff` is not used.
+    the author's code, damping also enters the step length, which bounds the step where F vanishes.
     """
 
-    def __init__(self, actor: Actor, config: AlgoConfig, layout: Layout) -> None:
+    def __init__(self, actor: Actor, config: TRPOConfig, layout: Layout) -> None:
         self.actor, self.config, self.share = actor, config, 1.0
-        self.loss = Surrogate(config.entropy_coeff)
+        self.loss = SurrogateLoss(config.entropy_coeff)
 
     def improve(
         self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
@@ -100,9 +82,9 @@ class TRPO:
         expected: Tensor,
         bound: float,
     ) -> dict[str, Tensor]:
-        """Halve the steps (P, V) of policies that do not accept; update each policy with its accepted step.
+        """Halve each policy's step (P, V) until it is accepted, then apply it; return metrics (P,).
 
-        The metric `accepted_step` is the share of the full step that was taken, 0 for none.
+        The metric `accepted_step` is the share of the full step that was taken, 0 if none was accepted.
         """
         kl, accepted = torch.zeros_like(surrogate), torch.zeros_like(surrogate)
         going = torch.nonzero(expected > 0)[:, 0]
@@ -110,13 +92,14 @@ class TRPO:
             if len(going) == 0:
                 break
             size = 0.5**halving
-            before, after = self.actor.narrow(going), self.actor.narrow(going)
+            after = self.actor.narrow(going)
+            log_std = None if self.actor.log_std is None else self.actor.log_std.detach()[going]
             with torch.no_grad():
                 changes = unflat(size * step[going], after.learnable)
                 for tensor, change in zip(after.learnable, changes, strict=True):
                     tensor.add_(change)
                 rows = batch if len(going) == len(step) else batch.narrow(going)
-                reached, moved = self._compare(before, after, rows)
+                reached, moved = self._compare(after, log_std, rows)
             enough = reached - surrogate[going] >= self.config.accept_ratio * size * expected[going]
             accepts = enough & (moved <= bound)
             self.actor.adopt(going[accepts], after.narrow(accepts))
@@ -124,14 +107,17 @@ class TRPO:
             going = going[~accepts]
         return {"kl": kl, "accepted_step": accepted}
 
-    def _compare(self, before: Actor, after: Actor, batch: WholeBatch) -> tuple[Tensor, Tensor]:
-        """Return the surrogate of `after`, and the mean KL(before || after), (P,) each."""
+    def _compare(self, after: Actor, log_std: Tensor | None, batch: WholeBatch) -> tuple[Tensor, Tensor]:
+        """Return the surrogate of `after`, and its mean KL divergence from the policies before, (P,) each.
+
+        These have the batch's outputs and, with Box actions, log standard deviations `log_std` (P, A, 1).
+        """
         surrogate, kl = batch.weight.new_zeros(len(batch.weight)), batch.weight.new_zeros(len(batch.weight))
         for piece in batch.pieces(self.config.piece_samples):
             assert piece.outputs is not None
             outputs = after.network(piece.observations, piece.timeline)
             surrogate += self._surrogate(after, outputs, piece)[0]
-            old = before.distribution(piece.outputs.transpose(1, 2), piece.masks)
+            old = after.distribution(piece.outputs.transpose(1, 2), piece.masks, log_std)
             new = after.distribution(outputs, piece.masks)
             kl += (new.kl_from(old) * piece.weight).sum(1)
         return surrogate, kl

@@ -1,8 +1,11 @@
 """Compiled bus simulator: events at exact times, actions once per control interval.
 
-layout: records; allocation: their arrays; draws: keyed random numbers; curves: values over time; passengers:
-queues; motion: events of a bus; spacing, upkeep, rewards, observe: values derived from the state; day: start
-and end of a day; tick: functions called from outside.
+- `layout`: records; `allocation`: their arrays
+- `draws`: keyed random numbers; `curves`: values over time of day
+- `passengers`: queues at stops; `motion`: the events of a bus, and the loop over them
+- `spacing`, `upkeep`, `rewards`, `observe`: values derived from the state
+- `day`: start and end of a service day
+- `tick`: the functions that the environment calls
 """
 
 

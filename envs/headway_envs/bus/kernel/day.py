@@ -1,4 +1,5 @@
-"""Start of a service day, and its metrics at the end."""
+"""Reset of a copy at the start of a service day, and its metrics at the end. The events between are those
+of `motion`, simulated by `motion.advance`."""
 
 import math
 

@@ -93,8 +93,8 @@ def renew(k: Record, world: World, c: int, n: int) -> None:
 def schedule_next_trip(
     net: Network, k: Record, world: World, c: int, n: int, time: float, arrived: bool
 ) -> None:
-    """Send the slot to the terminal of its next trip, or to the depot if that trip is far off or there is
-    none. `arrived`: whether the bus has just finished a trip."""
+    """Schedule the slot's next trip. The bus waits at the trip's terminal; at the depot if no trip is left,
+    the day begins, or the wait exceeds `depot_gap_s`. `arrived`: whether it has just finished a trip."""
     slot = world.slots[c, n]
     if slot.block == net.slot_first[n + 1]:
         slot.phase = DEPOT

@@ -61,8 +61,8 @@ def upkeep_potential(net: Network, k: Record, world: World, c: int, n: int) -> f
 
 @compiled
 def shape_rewards(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
-    """Add the change of each slot's potential to rewards (N,): its own, or the mean over its line or the
-    team, by `scope`. At the end of the day all potentials are 0."""
+    """Add potential-based shaping to rewards (N,): the change of the slot's potential, of its line's mean or
+    of the team's mean, by `scope`. Potentials are 0 at the end of the day."""
     over, total = world.days[c].now >= k.end_s, 0.0
     for line in range(net.line_slots.shape[0] - 1):
         first, last = net.line_slots[line], net.line_slots[line + 1]

@@ -38,7 +38,7 @@ class RecordedDay:
     calls: pd.DataFrame
     """Rows with the columns of `COLUMNS`."""
     fares: bool
-    """Whether passengers were counted; else `boarded` and `load` are meaningless."""
+    """Whether passengers were counted; if not, `boarded` and `load` are meaningless."""
 
 
 def simulated_days(
@@ -69,11 +69,10 @@ def simulated_days(
 
 
 def recorded_day(raw: Path, tables: Tables, day_type: str) -> RecordedDay:
-    """Return the recorded day on which the scenario's timetable is based, for its lines only, from the files
-    below `raw`.
+    """Return the recorded day on which the scenario's timetable is based, for its lines only.
 
-    The metadata state the date. Raises HeadwayError if they state no valid date, or if there is no file of
-    that date or no trip of these lines in it.
+    It is read from the files below `raw`; the metadata state its date. Raises HeadwayError if they state no
+    valid date, or if there is no file of that date or no trip of these lines in it.
     """
     files = find_days(raw)
     stated = _timetable_date(tables, day_type)

@@ -1,4 +1,4 @@
-"""Simulated beside measured statistics."""
+"""Comparison of simulated with measured statistics."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ class Row:
     statistic: str
     """Name of the statistic, as in `trip_statistics`."""
     simulated: float
-    """Mean over the simulated days that have a value; NaN, which does not hold, if none has."""
+    """Mean over the simulated days that have a value; NaN, which is outside any tolerance, if none has."""
     deviation: float | None
     """Sd over the days; None for a single day."""
     measured: float
@@ -40,7 +40,7 @@ class Row:
     source: str
     """Source of the measured value."""
     judged: bool = True
-    """False if the value was measured over a whole city and the scenario has too few of its lines."""
+    """False if the value was measured over the whole city but the scenario has too few of its lines."""
 
     @property
     def off(self) -> float:
@@ -60,17 +60,16 @@ def compare_replay(
     records: Path | None = None,
     after_day: Callable[[], None] = lambda: None,
 ) -> list[Row]:
-    """Return the statistics of `days` replayed days, always MOVE, beside the measured ones of
-    `config.day_type`.
+    """Return the statistics of `days` replayed days, with MOVE at every decision, and the measured ones.
 
-    Trips and boardings are measured on the scenario's tables; synthetic boardings are left out. Headways
-    along the route and loads (if it has fares) are measured on the recorded day below `records`. Without
-    `records`, those of the whole city are used if the tables are SUNT's, else they are left out; for an
-    extract of few lines they are not judged. The hours of `config` are replaced by `HOURS`. `after_day` is
-    called after each simulated day.
+    They are those of `config.day_type`. Trips and boardings are measured on the scenario's tables; synthetic
+    boardings are left out. Headways along the route and loads (if it has fares) are measured on the recorded
+    day in `records`. Without `records`, those of the whole city are used if the tables are SUNT's, else they
+    are left out; for an extract of few lines they are not judged. The hours of `config` are replaced by
+    `HOURS`. `after_day` is called after each simulated day.
 
-    Raises HeadwayError for tables that are made up or scheduled, and whatever `prepare_replay`,
-    `simulated_days`, `recorded_day` and `trip_statistics.finished_trip_statistics` raise.
+    Raises HeadwayError for tables that are synthetic or scheduled, and the errors of `prepare_replay`,
+    `simulated_days`, `recorded_day` and `trip_statistics.finished_trip_statistics`.
     """
     if made_up := _made_up(tables):
         raise HeadwayError(
@@ -116,8 +115,7 @@ def line_count(tables: Tables, config: BusConfig) -> int:
 
 
 def call_km(tables: Tables) -> "pd.Series[float]":
-    """Return the distance from the pattern's first call along its links, km, by pattern and seq0, in
-    order."""
+    """Return distances from the pattern's first call along its links, km, sorted by pattern and seq0."""
     return metres_along(tables) / 1000.0
 
 
@@ -159,7 +157,7 @@ def _city_statistics(tables: Tables, config: BusConfig) -> dict[str, tuple[float
 
 
 def _made_up(tables: Tables) -> str:
-    """Return why trips or times are not recorded, from the metadata; empty if they are."""
+    """Return why the tables' trips or times are not recorded ones, from the metadata; empty if they are."""
     if source_of(tables.meta).startswith(SYNTHETIC):
         return "its trips are made up"
     stated = tables.meta.get("made_up")
@@ -170,7 +168,7 @@ def _made_up(tables: Tables) -> str:
 
 
 def _table_statistics(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:
-    """Return the statistics of the tables; boardings only if the metadata do not call them made up."""
+    """Return the statistics of the tables; boardings only if the metadata do not call them synthetic."""
     values = trip_statistics.finished_trip_statistics(observed_trips(tables, config))
     made_from = tables.meta.get("made_from")
     origin = made_from.get(f"demand {config.day_type}", "") if isinstance(made_from, Mapping) else ""

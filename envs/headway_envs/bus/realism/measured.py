@@ -1,9 +1,9 @@
 """Statistics measured in Salvador, and the tolerances of the comparison.
 
 Source of every number: SUNT, Salvador Urban Network Transportation (LabIA-UFBA), CC BY 4.0, doi
-10.17632/85fdtx3kr5.1. Headways: all lines on Monday 2024-08-26 and Sunday 2024-09-15. That Monday has no
-fares: loads, ride length and the response of boardings to the headway were measured on one operator's lines
-(half the city) on 2024-06-04 and 05, and on Sundays.
+10.17632/85fdtx3kr5.1. Headways: all lines on Monday 2024-08-26 and Sunday 2024-09-15. The records of that
+Monday have no fares: loads, ride length and the response of boardings to the headway were measured on one
+operator's lines (half the city) on 2024-06-04 and 05, and on Sundays.
 """
 
 from collections.abc import Mapping
@@ -94,4 +94,4 @@ TOLERANCES: Mapping[str, Tolerance] = {
     RESPONSE: Tolerance(0.10),
 }
 """Tolerance of each statistic, chosen by judgement. At the first call a replay repeats the data, so hardly
-any difference is accepted; the others are about the difference between two measured days of the same kind."""
+any difference is accepted; the others are about the difference between two measured days of one day type."""

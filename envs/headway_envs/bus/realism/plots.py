@@ -21,9 +21,11 @@ def draw_time_space(
     hours: tuple[float, float],
     fullest: float = 75.0,
 ) -> "LineCollection":
-    """Draw one line per bus of the pattern over time and km from its first call, coloured by load (up to
-    `fullest`); horizontal where the bus stands. `calls`: those of one day; `km`: by pattern and seq0. Return
-    the lines, for a colour bar."""
+    """Draw one line per bus of the pattern, over time and km from the first call; return the lines.
+
+    Lines are coloured by load (up to `fullest`) and horizontal where the bus stands; they are returned for a
+    colour bar. `calls`: those of one day; `km`: by pattern and seq0; `hours`: limits of the time axis.
+    """
     from matplotlib.collections import LineCollection
 
     own = calls[calls["pattern"] == pattern].sort_values(["trip", "seq0"])
@@ -80,8 +82,10 @@ def draw_load_profile(
 
 
 def draw_headways_along(axes: "Axes", statistics: Mapping[str, Mapping[str, float]]) -> None:
-    """Draw the headway CV by fifth of the route, for each of `statistics` (name: statistics by name). Missing
-    fifths are left out, and so are entries without any."""
+    """Draw the headway CV by fifth of the route, for each of `statistics` (name: statistics by name).
+
+    Missing fifths are left out, and so are entries without any.
+    """
     fifths = list(range(1, FIFTHS + 1))
     for name, values in statistics.items():
         there = [fifth for fifth in fifths if cv_name(fifth - 1) in values]

@@ -1,8 +1,8 @@
 """Statistics of a day: headways, trips and loads.
 
-Headways are measured as is usual for frequent service: relative to the mean of their own window of two hours,
-by line, direction and stop, from 6 to 20 h, in windows of at least four headways. Peaks of the timetable thus
-do not count as irregularity.
+Headways are measured as is usual for frequent service: relative to the mean of a two-hour window, per line,
+direction and stop, from 6 to 20 h, in windows of at least four headways. Peaks of the timetable thus do not
+count as irregularity.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ SPEED_HOURS = (5, 7, 10, 17, 22)
 WINDOW_S = 7200.0
 """Width of a window, s."""
 MIN_HEADWAYS = 4
-"""Smallest number of headways, or of trips, of a window that is used."""
+"""Minimum number of headways, or of trips, for a window to be used."""
 _FROM_S, _TO_S = 6 * 3600.0, 20 * 3600.0
 BUNCHED = 0.25
 """Headways below this share of the mean count as bunched."""
@@ -63,12 +63,11 @@ def headway_statistics(calls: pd.DataFrame) -> dict[str, float]:
 
 
 def finished_trip_statistics(trips: pd.DataFrame) -> dict[str, float]:
-    """Return statistics of durations, their spread, speeds by hour of departure, and headway CVs at both
-    ends.
+    """Return statistics of durations, their spread, hourly speeds, and headway CVs at both ends.
 
-    `trips`: one row per finished trip: line, dir, pattern, begin and end (stops), dep and arr (s), km. The
-    spread is the sd of the log of the duration about the mean of its pattern and window. Raises HeadwayError
-    if there are no trips.
+    `trips`: one row per finished trip: line, dir, pattern, begin and end (stops), dep and arr (s), km. Speeds
+    are by hour of departure. The spread is the sd of the log of the duration about the mean of its pattern
+    and window. Raises HeadwayError if there are no trips.
     """
     if trips.empty:
         raise HeadwayError(
@@ -97,11 +96,11 @@ def finished_trip_statistics(trips: pd.DataFrame) -> dict[str, float]:
 
 
 def passenger_statistics(calls: pd.DataFrame) -> dict[str, float]:
-    """Return quantiles of loads at departure, boardings, ride length, and the response of boardings to the
-    headway.
+    """Return statistics of loads, boardings, ride length and the response of boardings to the headway.
 
-    Ride length is passengers aboard, summed over calls, per boarding. The response is the slope of the
-    boardings at a call, relative to the mean of their window, on the relative headway.
+    Loads are quantiles at departure. Ride length is passengers aboard, summed over calls, per boarding. The
+    response is the slope of the boardings at a call, relative to the mean of their window, on the relative
+    headway.
     """
     load = calls["load"].to_numpy(np.float64)
     load = load[~np.isnan(load)]
@@ -126,8 +125,10 @@ def passenger_statistics(calls: pd.DataFrame) -> dict[str, float]:
 
 
 def finished_trips(calls: pd.DataFrame, km: "pd.Series[float]") -> pd.DataFrame:
-    """Return the finished trips of a day's calls, as `finished_trip_statistics` takes them. `km`: by
-    pattern."""
+    """Return the finished trips of a day's calls, as `finished_trip_statistics` takes them.
+
+    `km`: by pattern.
+    """
     first = calls[calls["seq0"] == 0].set_index("trip")
     last = calls[calls["seq0"] == calls["calls"] - 1].set_index("trip")
     trips = first.loc[first.index.isin(last.index), ["line", "dir", "pattern"]].copy()
@@ -138,8 +139,11 @@ def finished_trips(calls: pd.DataFrame, km: "pd.Series[float]") -> pd.DataFrame:
 
 
 def _relative_headways(calls: pd.DataFrame) -> pd.DataFrame:
-    """Return the calls with a headway in a window of at least `MIN_HEADWAYS`, with `ratio` (headway over the
-    mean of the window), `window` (its number) and `count` (number of its headways)."""
+    """Return the calls with a headway in a window of at least `MIN_HEADWAYS`.
+
+    Added columns: `ratio` (headway over the mean of the window), `window` (its number) and `count` (number of
+    its headways).
+    """
     place = calls.groupby(["line", "dir", "stop", "visit"], sort=False).ngroup().to_numpy()
     time = calls["time"].to_numpy(np.float64)
     order = np.lexsort((time, place))
@@ -161,8 +165,7 @@ def _relative_headways(calls: pd.DataFrame) -> pd.DataFrame:
 
 
 def _cv(rows: pd.DataFrame) -> float:
-    """Return the root mean square deviation of `ratio` from 1, corrected for the bias of windows of few
-    headways."""
+    """Return the root mean square deviation of `ratio` from 1, corrected for the bias of small windows."""
     if rows.empty:
         return np.nan
     count = rows["count"].to_numpy(np.float64)

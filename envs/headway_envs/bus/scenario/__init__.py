@@ -1,1 +1,1 @@
-"""Scenarios of the bus environment: their tables, where they come from, and the network built from them."""
+"""Scenarios of the bus environment: tables, importers and generators, and the network built from them."""

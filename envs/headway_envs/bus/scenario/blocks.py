@@ -1,5 +1,4 @@
-"""Vehicles for a timetable without them: each vehicle continues with a trip that begins where its last one
-ended."""
+"""Vehicles for a timetable without blocks: each trip begins where its vehicle's last one ended."""
 
 import heapq
 
@@ -45,9 +44,11 @@ def terminals(stops: pd.DataFrame, ends: NDArray[np.int64]) -> dict[int, int]:
 
 
 def chain_at_terminals(trips: pd.DataFrame) -> NDArray[np.int64]:
-    """Return a vehicle for each trip (J,), from columns dep_s, arr_s and the terminals `begin` and `end`. In
-    order of departure, each trip takes the vehicle that has waited longest at its first terminal, or else a
-    new one."""
+    """Return a vehicle for each trip (J,), from columns dep_s, arr_s and the terminals `begin` and `end`.
+
+    In order of departure, each trip takes the vehicle that has waited longest at its first terminal, or else
+    a new one.
+    """
     waiting: dict[int, list[tuple[float, int]]] = {}
     vehicle = np.zeros(len(trips), np.int64)
     count = 0

@@ -85,7 +85,9 @@ class LineStatistics:
 
 def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) -> list[DayStatistics]:
     """Return the statistics of each day type that has trips; takes seconds per day type for a city.
-    `after_day` is called after each of `DAY_TYPES`."""
+
+    `after_day` is called after each of `DAY_TYPES`.
+    """
     found = []
     for day in DAY_TYPES:
         trips = tables.trips[tables.trips["daytype"] == day]
@@ -164,8 +166,7 @@ def meta_rows(meta: Mapping[str, Any]) -> list[tuple[str, str | int | float]]:
 
 
 def buses_at_once(trips: pd.DataFrame) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the times at which trips begin or end, s, and the number of buses under way from each time
-    on."""
+    """Return the times at which trips begin or end, s, and the number of buses under way after each."""
     times = np.concatenate((trips["dep_s"].to_numpy(np.float64), trips["arr_s"].to_numpy(np.float64)))
     change = np.repeat([1, -1], len(trips))
     # At equal times arrivals come first, so that a bus that turns at once is not counted twice.
@@ -185,7 +186,9 @@ def _agents(tables: Tables, day: str) -> "pd.Series[int]":
 
 def _headway(trips: pd.DataFrame, begin: int, end: int) -> float | None:
     """Return the mean time between departures from `begin` to `end` h, minutes: the median over patterns.
-    None without departures."""
+
+    None without departures.
+    """
     inside = trips[trips["dep_s"].between(begin * 3600.0, end * 3600.0, "left")]
     counts = inside.groupby("pattern").size()
     return float(np.median((end - begin) * 60.0 / counts)) if len(counts) else None

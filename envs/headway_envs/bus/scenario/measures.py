@@ -33,8 +33,10 @@ def metres_along(tables: Tables) -> "pd.Series[float]":
 
 
 def link_loads(tables: Tables, day: str) -> pd.DataFrame:
-    """Return one row per call (pattern, seq0, stop, link) with `load`: passengers per day on the way to the
-    call, if boardings and alightings follow the tables and no bus is full."""
+    """Return one row per call (pattern, seq0, stop, link) with `load`, passengers per day on the link.
+
+    Boardings and alightings follow the tables, as if no bus were ever full.
+    """
     demand = tables.demand[tables.demand["daytype"] == day]
     period = np.searchsorted(PERIOD_HOURS, demand["hour"], side="right")
     boards = demand.assign(period=period).groupby(["pattern", "seq0", "period"])["board"].sum()

@@ -27,13 +27,14 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 _MAX_SD = 0.8
-"""Largest sd of the log of link times that is used. Hours with few observations have values up to 1.5, taken
-for faults."""
+"""Upper bound applied to the sd of the log of link times. Hours with few observations have values up to 1.5,
+which are taken for faults."""
 
 
 def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Network, tuple[str, ...]]:
-    """Return the network of the configured day type and the names of its lines. `replay`: trips leave at the
-    departure times of the table, instead of evenly spread ones.
+    """Return the network of the configured day type and the names of its lines.
+
+    `replay`: trips leave at the departure times of the table, instead of evenly spread ones.
 
     Raises HeadwayError if the day type has no trips, demand or travel times.
     """
@@ -82,7 +83,7 @@ def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Netw
         detour=_detours(tables, calls, config),
         queue_first=_queue_offsets(rates, per_call, config),
     )
-    # Always the same memory layout: numba would compile the kernel again for another.
+    # Always the same memory layout: for another one, numba would compile the kernel again.
     arrays: list[Any] = [np.ascontiguousarray(array) for array in network]
     return Network(*arrays), tuple(lines)
 
@@ -92,8 +93,10 @@ def _offsets(counts: NDArray[Any]) -> Integers:
 
 
 def trips_of_day(tables: Tables, config: BusConfig) -> pd.DataFrame:
-    """Return the trips that leave within the configured service day. Raises HeadwayError if there are
-    none."""
+    """Return the trips that leave within the configured service day.
+
+    Raises HeadwayError if there are none.
+    """
     trips = tables.trips[tables.trips["daytype"] == config.day_type]
     begin, end = config.start_hour * 3600.0, config.end_hour * 3600.0
     trips = trips[(trips["dep_s"] >= begin) & (trips["dep_s"] < end)]
@@ -106,8 +109,10 @@ def trips_of_day(tables: Tables, config: BusConfig) -> pd.DataFrame:
 
 
 def pattern_rows(tables: Tables, config: BusConfig) -> list[int]:
-    """Return the number in the tables of each of the network's patterns. Raises HeadwayError if no trip
-    leaves within the service day."""
+    """Return the number in the tables of each of the network's patterns.
+
+    Raises HeadwayError if no trip leaves within the service day.
+    """
     lines = _patterns_by_line(tables, trips_of_day(tables, config))
     return [pattern for group in lines.values() for pattern in group]
 
@@ -122,8 +127,10 @@ def _patterns_by_line(tables: Tables, trips: pd.DataFrame) -> dict[str, list[int
 
 
 def calls_of(tables: Tables, patterns: Sequence[int]) -> pd.DataFrame:
-    """Return one row per call (Q), one pattern after the other in the given order: p (index of the pattern),
-    pattern, seq0, stop, link, lat, lon."""
+    """Return one row per call (Q), pattern by pattern in the given order.
+
+    Columns: p (index of the pattern), pattern, seq0, stop, link, lat, lon.
+    """
     place = pd.Series(range(len(patterns)), index=list(patterns))
     calls = tables.pattern_stops[tables.pattern_stops["pattern"].isin(patterns)].copy()
     calls["p"] = place.reindex(calls["pattern"]).to_numpy()
@@ -171,8 +178,7 @@ def _alighting(tables: Tables, calls: pd.DataFrame) -> Floats:
 
 
 def _link_times(tables: Tables, calls: pd.DataFrame, day: str) -> tuple[Floats, Floats]:
-    """Return the mean time (Q, K), s, and the sd of its log (Q,), of the link that leads away from each
-    call."""
+    """Return mean time (Q, K), s, and sd of its log (Q,) of the link that leads away from each call."""
     frame = tables.link_times[tables.link_times["daytype"] == day]
     away = np.append(calls["link"].to_numpy(np.int64)[1:], -1)
     inner = np.append(calls["seq0"].to_numpy()[1:] > 0, False)
@@ -195,8 +201,10 @@ def _link_times(tables: Tables, calls: pd.DataFrame, day: str) -> tuple[Floats, 
 
 
 def _remaining_sd(link_sd: Floats, config: BusConfig) -> Floats:
-    """Return the sd (Q,) of the link's travel-time factor: what remains of the measured variance without that
-    of trip, day, network, incidents and dwell, at least the floor."""
+    """Return the sd (Q,) of the link's travel-time factor, at least the floor.
+
+    It is the measured variance minus the variances of trip, day, network, incidents and dwell.
+    """
     noise = config.noise
     incidents = noise.incident_probability * math.log(max(noise.incident_factor, 1.0)) ** 2
     others = noise.trip_sd**2 + noise.day_sd**2 + noise.network_sd**2 + noise.dwell_sd**2 + incidents
@@ -211,10 +219,10 @@ def _mean_dwell(
     pattern_calls: Integers,
     config: BusConfig,
 ) -> tuple[Floats, Floats]:
-    """Return the mean boardings per bus and call (Q, K), and the mean dwell there (Q, K), s, by carrying mean
-    loads along the pattern.
+    """Return the mean boardings per bus and call (Q, K), and the mean dwell there (Q, K), s.
 
-    The fixed dwell counts with the Poisson probability that any passenger boards or alights.
+    Mean loads are carried along the pattern. The fixed dwell counts with the Poisson probability that any
+    passenger boards or alights.
     """
     per_call = np.zeros_like(boarding)
     dwell = np.zeros_like(boarding)
@@ -238,7 +246,9 @@ def _mean_dwell(
 
 def _running(link_s: Floats, dwell: Floats, pattern_calls: Integers, tables: Tables) -> tuple[Floats, Floats]:
     """Return the running time to the next call (Q, K), and the nominal time since the first call (Q, K), s.
-    If link times include the dwell at their start, it is subtracted, but at most half of the link time."""
+
+    If link times include the dwell at their start, it is subtracted, but at most half of the link time.
+    """
     if tables.meta.get("link_times_include_dwell", True):
         running = np.maximum(link_s - dwell, 0.5 * link_s)
     else:
@@ -257,8 +267,10 @@ def _running(link_s: Floats, dwell: Floats, pattern_calls: Integers, tables: Tab
 def _deadheads(
     tables: Tables, calls: pd.DataFrame, pattern_calls: Integers, line_patterns: Integers
 ) -> list[Floats]:
-    """Return (patterns, patterns) per line: time from the end of one pattern to the start of another, s, at
-    20 km/h over 1.3 times the straight-line distance; 0 within 300 m."""
+    """Return, per line, the times (patterns, patterns) from the end of each pattern to the start of each, s.
+
+    Buses drive 1.3 times the straight-line distance at 20 km/h; 0 within 300 m.
+    """
     lat, lon = calls["lat"].to_numpy(float), calls["lon"].to_numpy(float)
     ways = []
     for begin, end in pairwise(line_patterns):
@@ -276,8 +288,7 @@ def _timetable(
     deadhead: Sequence[Floats],
     config: BusConfig,
 ) -> dict[str, NDArray[np.float64] | Integers]:
-    """Return the trips, sorted by pattern and departure, and the blocks of the slots, as arrays of the
-    network."""
+    """Return the trips, sorted by pattern and departure, and the blocks of the slots, as network arrays."""
     trips: list[Trip] = []
     for p, departing in enumerate(departures):
         duration = np.interp(departing.times, KNOT_S, nominal[pattern_calls[p + 1] - 1])
@@ -317,13 +328,12 @@ def _rates(
     line_patterns: Integers,
     config: BusConfig,
 ) -> tuple[Floats, Floats]:
-    """Return boarding passengers per s under a regular service (Q, B), and the mean number of passengers
-    waiting under it (L, B).
+    """Return boarding rates (Q, B), passengers per s, and mean numbers of waiting passengers (L, B).
 
-    Hourly numbers are interpolated between the middles of the hours. Passengers know the timetable: they
-    arrive from one headway before the first bus to the last bus. Of passengers with a competing service, a
-    regular service leaves rate x xH (1 - x (1 - exp(-1/x))) waiting, where x is the competing share of the
-    headway H.
+    Both are those of a regular service. Hourly numbers are interpolated between the middles of the hours.
+    Passengers arrive by the timetable: from one headway before the first bus to the last bus. Of passengers
+    with a competing service, a regular service leaves rate x xH (1 - x (1 - exp(-1/x))) waiting, where x is
+    the competing share of the headway H.
     """
     bins = round(config.day_s / BIN_S + 0.499)
     middles = config.start_hour * 3600.0 + (np.arange(bins) + 0.5) * BIN_S
@@ -346,8 +356,11 @@ def _rates(
 
 
 def _detours(tables: Tables, calls: pd.DataFrame, config: BusConfig) -> Floats:
-    """Return the driving time to the nearest service centre (Q,), s. Without centres in the metadata, the
-    first stop of every twentieth pattern, and of at least one, has a centre."""
+    """Return the driving time to the nearest service centre (Q,), s.
+
+    Without centres in the metadata, the first stop of every twentieth pattern, and of at least one, has a
+    centre.
+    """
     lat, lon = calls["lat"].to_numpy(float), calls["lon"].to_numpy(float)
     centres = tables.meta.get("service_centres")
     if centres is None:
@@ -365,8 +378,11 @@ def _detours(tables: Tables, calls: pd.DataFrame, config: BusConfig) -> Floats:
 
 
 def _queue_offsets(rates: Floats, per_call: Floats, config: BusConfig) -> Integers:
-    """Return the offsets of the queues' storage (Q + 1,): room for one bus load, three peak hours of boarding
-    passengers, and passengers of the competing service."""
+    """Return the offsets of the queues' storage (Q + 1,).
+
+    A queue has room for one bus load, three peak hours of boarding passengers, and passengers with a
+    competing service.
+    """
     peak = rates.max(axis=1) * 3.0 * 3600.0
     room = config.capacity + 24 + np.ceil(peak + 6.0 * per_call.max(axis=1)).astype(np.int64)
     return _offsets(room.astype(np.int64))

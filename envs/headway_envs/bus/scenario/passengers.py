@@ -28,8 +28,10 @@ ALIGHTING_SD = 1.0
 
 
 def spread_by_tenth(tenths: Sequence[float], weight: Floats) -> Floats:
-    """Return the shares (n,), sum 1, of a pattern's n stops: the share of each tenth of the pattern, divided
-    among its stops by `weight` (n,)."""
+    """Return the shares (n,), sum 1, of the n stops of a pattern.
+
+    The share of each tenth of the pattern is divided among its stops by `weight` (n,).
+    """
     tenth = np.minimum(np.arange(len(weight)) * 10 // len(weight), 9)
     total = np.bincount(tenth, weight, minlength=10)[tenth]
     share = np.array(tenths)[tenth] * weight / np.maximum(total, 1e-12)
@@ -110,8 +112,7 @@ def _boardings(pattern: int, day: str, boarding: Floats, trips: pd.DataFrame, me
 
 
 def service_by_hour(count: int, trips: pd.DataFrame) -> tuple[NDArray[np.int64], Floats]:
-    """Return hours (H,), and the share of each hour's passengers for whom a bus comes, (count, H), at each
-    stop of a pattern.
+    """Return hours (H,), and shares (count, H) of each hour's passengers for whom a bus comes, per stop.
 
     Passengers arrive as in `network.build`: from one headway before the first bus to the last bus, and those
     of an hour from the middle of the hour before to the middle of the next, most of them in between. Stops
@@ -122,7 +123,7 @@ def service_by_hour(count: int, trips: pd.DataFrame) -> tuple[NDArray[np.int64],
     lasting = float((trips["arr_s"].to_numpy(np.float64) - trips["dep_s"].to_numpy(np.float64)).mean())
     reached = np.linspace(0.0, lasting, count)
     opens, closes = departures[0] - headway + reached, departures[-1] + reached
-    # A service day may begin in the hour of the first bus; passengers of earlier hours would then never come.
+    # A service day may begin in the hour of the first bus; passengers of earlier hours would be missing.
     earliest = max(min(departures[0] // 3600.0, FIRST_SHARE_HOUR), opens[0] // 3600.0, 0.0)
     hours = np.arange(int(min(earliest, _LAST_HOUR)), min(int(closes[-1] // 3600.0), _LAST_HOUR) + 1)
     served = _arrived_share(closes[:, None], hours) - _arrived_share(opens[:, None], hours)

@@ -23,7 +23,7 @@ _MIN_ASPECT = 0.4
 _MAX_LINK_WIDTH = 7.0
 """Width of the link with the largest load, points."""
 _LINE_COLOURS = 10
-"""Largest number of lines with a colour each. More lines are coloured by headway."""
+"""Number of lines up to which each has its own colour. If there are more, lines are coloured by headway."""
 _HEADWAYS_MIN = (5.0, 60.0)
 """Ends of the colour scale of headways, minutes."""
 

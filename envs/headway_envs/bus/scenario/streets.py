@@ -22,13 +22,15 @@ _JITTER = 0.3
 _MAX_MEDIANS = 3.0
 """Assumption: links longer than this many medians are streets only where no other link connects."""
 _CANDIDATES = 12
-"""Number of candidate paths through a hub, of which the one with the fewest sites passed twice is taken."""
+"""Number of candidate paths through a hub; the one that passes the fewest sites twice is taken."""
 
 
 @dataclass(frozen=True)
 class LineLayout:
-    """Positions of the stops, and the stops of each line in both directions; one-way lines have a single
-    pattern."""
+    """Positions of the stops, and the stops of each line in both directions.
+
+    One-way lines have a single pattern.
+    """
 
     x: Floats
     """(S,) distance to the east, m"""
@@ -58,11 +60,11 @@ class _PathTree:
 def lay_out_lines(
     rng: np.random.Generator, sites: int, one_way: list[bool], limits: tuple[int, int]
 ) -> LineLayout:
-    """Lay out one line per element of `one_way`, on streets between `sites` pairs of stops, with one stop on
-    each side.
+    """Lay out one line per element of `one_way`, on streets between `sites` pairs of stops.
 
-    Lines begin at hubs. The number of stops of a pattern is drawn from the fitted gamma distribution, again
-    until it lies within `limits`. The town is scaled so that the log of its link lengths has the fitted mean.
+    A pair is one stop on each side of the street. Lines begin at hubs. The number of stops of a pattern is
+    drawn from the fitted gamma distribution, again until it lies within `limits`. The town is scaled so that
+    the log of its link lengths has the fitted mean.
     """
     x, y = _scatter_sites(rng, sites)
     hubs = rng.choice(sites, max(sites // SITES_PER_HUB, 2), replace=False)
@@ -86,8 +88,7 @@ def lay_out_lines(
 
 
 def _scatter_sites(rng: np.random.Generator, sites: int) -> tuple[Floats, Floats]:
-    """Return positions (sites,), each in or near its own cell of a grid, so that few sites lie close
-    together."""
+    """Return positions (sites,), each in or near its own grid cell, so that few sites lie close together."""
     rows = round((sites / ASPECT_RATIO) ** 0.5)
     columns = -(-sites // rows)
     cell = np.sort(rng.choice(rows * columns, sites, replace=False))
@@ -146,8 +147,10 @@ def _site_at_distance(rng: np.random.Generator, tree: _PathTree, hops: int) -> i
 
 
 def _path_through_hub(rng: np.random.Generator, tree: _PathTree, count: int) -> list[int]:
-    """Return a path of about `count` sites that begins at the hub or, if no site is that far away, leads
-    through it."""
+    """Return a path of about `count` sites that begins at the hub.
+
+    If no site is that far away, the path leads through the hub instead.
+    """
     longest = int(tree.hops.max())
     if count - 1 <= longest:
         return tree.path(_site_at_distance(rng, tree, count - 1))

@@ -43,8 +43,11 @@ Floats = NDArray[np.float64]
 
 
 def generate(size: str, seed: int, after_line: Callable[[], None] = lambda: None) -> Tables:
-    """Return the tables of a size in SCENARIOS. In `line` and `corridor`, line i depends only on (seed, i).
-    `after_line` is called once per line, `line_count(size)` times."""
+    """Return the tables of a size in SCENARIOS.
+
+    In `line` and `corridor`, line i depends only on (seed, i). `after_line` is called once per line,
+    `line_count(size)` times.
+    """
     if size not in FLEETS:
         from headway_envs.bus.scenario.town import generate_town
 
@@ -75,8 +78,10 @@ _META: dict[str, Any] = {
 
 
 def _line(size: str, seed: int, number: int, buses: int) -> dict[str, pd.DataFrame]:
-    """Return the tables of one line whose weekday timetable needs `buses` slots. The departures are scaled
-    until it does."""
+    """Return the tables of one line whose weekday timetable needs `buses` slots.
+
+    The departures are scaled until it does.
+    """
     rng = generator(seed, "bus line", number)
     geometry = _geometry(rng, number, _STOPS[size])
     shares = _stop_shares(rng, geometry["pattern_stops"])
@@ -96,8 +101,10 @@ def _line(size: str, seed: int, number: int, buses: int) -> dict[str, pd.DataFra
 
 
 def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) -> dict[str, pd.DataFrame]:
-    """Return stops, patterns, links and travel times of a line that goes out along a heading and back on the
-    other side."""
+    """Return stops, patterns, links and travel times of a line that runs out along a heading and back.
+
+    The way back is on the other side of the street.
+    """
     while True:
         counts = [2 + round(rng.gamma(*STOPS_GAMMA)) for _ in range(2)]
         counts[1] = round(counts[0] * rng.uniform(0.9, 1.1))
@@ -154,8 +161,10 @@ def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) ->
 
 
 def _place_stops(stops: NDArray[np.int64], along: Floats, heading: float, aside: float) -> pd.DataFrame:
-    """Return the coordinates of stops that lie `along` m from the centre of Salvador on a heading, `aside` m
-    to its right."""
+    """Return the coordinates of stops along a heading from the centre of Salvador.
+
+    They lie `along` m from the centre and `aside` m to the right of the heading.
+    """
     north = along * math.cos(heading) - aside * math.sin(heading)
     east = along * math.sin(heading) + aside * math.cos(heading)
     lat = -12.97 + north / METRES_PER_DEGREE

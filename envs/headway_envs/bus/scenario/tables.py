@@ -1,8 +1,8 @@
 """Scenario format: eight tables and `meta.json`, and the loader that checks them.
 
 Times are seconds after midnight of the service day and may exceed 86,400. Every value of the columns named
-here is checked, also where an experiment does not read it. Other columns are kept, but neither read nor
-checked: they may hold blanks.
+here is checked, even if an experiment does not read it. Other columns are kept, but neither read nor checked:
+they may contain blanks.
 """
 
 import difflib
@@ -24,7 +24,7 @@ NO_LINK = 65535
 
 PERIOD_HOURS = (9, 15, 20)
 PERIODS = len(PERIOD_HOURS) + 1
-"""Number of periods of the day with alighting shares of their own: before 9 h, 9-15, 15-20 and after."""
+"""Number of periods of the day with separate alighting shares: before 9 h, 9-15, 15-20 and after."""
 
 DAY_TYPES = ("weekday", "sunday")
 
@@ -160,8 +160,10 @@ def write_tables(tables: Tables, folder: str | Path) -> None:
 
 
 def check_tables(tables: Tables) -> None:
-    """Raise HeadwayError at the first fault: missing columns, blanks, ranges, duplicates, references,
-    sequences."""
+    """Raise HeadwayError at the first fault in the tables or metadata.
+
+    Checked are columns, blanks, ranges, duplicates, references and sequences.
+    """
     # Errors name rows by their index, which must be their number in the file also after sorting.
     numbered = {name: getattr(tables, name).reset_index(drop=True) for name in COLUMNS}
     tables = replace(tables, **numbered)
@@ -223,8 +225,7 @@ def _check_values(name: str, frame: pd.DataFrame, column: str) -> None:
 
 
 def _check_patterns(tables: Tables) -> None:
-    """Check that the positions of each pattern run from 0, and that each link leads from the previous
-    stop."""
+    """Check that positions of each pattern run from 0, and that each link leads from the previous stop."""
     calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
     expected = calls.groupby("pattern").cumcount().to_numpy()
     gap = calls["seq0"].to_numpy() != expected
@@ -247,8 +248,7 @@ def _check_patterns(tables: Tables) -> None:
 
 
 def _check_calls(tables: Tables) -> None:
-    """Check that demand and alighting refer to existing positions, and that all passengers alight at the last
-    one."""
+    """Check that demand and alighting refer to existing positions; all passengers alight at the last one."""
     counts = tables.patterns.set_index("pattern")["n_stops"]
     for name in ("demand", "alighting"):
         frame: pd.DataFrame = getattr(tables, name)

@@ -56,8 +56,10 @@ def smooth_departures(observed: NDArray[Any], knots: NDArray[np.float64]) -> Dep
 
 
 def observed_departures(observed: NDArray[Any], knots: NDArray[np.float64]) -> Departures:
-    """Return a pattern's departures (s, any order) unchanged, with the target headway of
-    `smooth_departures`."""
+    """Return a pattern's departures (s, any order) unchanged.
+
+    The target headway is that of `smooth_departures`.
+    """
     return replace(smooth_departures(observed, knots), times=np.sort(observed))
 
 
@@ -79,8 +81,8 @@ def chain_trips(
     """Return the trips (indices, ordered by departure) of each slot of one line, for few buses.
 
     In order of departure, each trip goes to the bus that became ready last, so that other buses rest; a new
-    bus is used only if none is ready. A bus is ready at its planned arrival, plus recovery of a share of the
-    trip's duration and at least five minutes, plus the deadhead between the patterns' ends (s).
+    bus is used only if none is ready. A bus is ready at its planned arrival, plus the recovery time (a share
+    of the trip's duration, at least five minutes), plus the deadhead between the patterns' ends (s).
     """
     order = sorted(range(len(trips)), key=lambda i: (trips[i].departure, trips[i].pattern))
     slots: list[list[int]] = []
@@ -102,8 +104,10 @@ def chain_trips(
 
 
 def work_until_depot(block: list[Trip], config: BusConfig) -> NDArray[np.float64]:
-    """Return the planned driving time of each trip of a slot's block and of its following trips, up to the
-    next gap spent at the depot, s."""
+    """Return, per trip of a slot's block, the planned driving time until the next gap at the depot, s.
+
+    The driving time of the trip itself is included.
+    """
     left = np.zeros(len(block))
     for i in range(len(block) - 1, -1, -1):
         left[i] = block[i].arrival - block[i].departure

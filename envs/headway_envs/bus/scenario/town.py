@@ -59,8 +59,10 @@ include."""
 
 
 def generate_town(size: str, seed: int, after_line: Callable[[], None] = lambda: None) -> Tables:
-    """Return the tables of `district` or `city`. The fleets of the lines are the same for all seeds.
-    `after_line` is called once per line."""
+    """Return the tables of `district` or `city`.
+
+    The fleets of the lines are the same for all seeds. `after_line` is called once per line.
+    """
     rng = generator(seed, "bus town", 0)
     fleets = line_fleets(size)
     one_way = [False] * len(fleets)
@@ -90,8 +92,10 @@ def generate_town(size: str, seed: int, after_line: Callable[[], None] = lambda:
 
 
 def line_fleets(size: str) -> list[int]:
-    """Return the number of buses at once on each line at the weekday's peak, in decreasing order: quantiles
-    of the fitted lognormal, scaled until they sum to the fleet of the size."""
+    """Return the number of buses at once on each line at the weekday's peak, in decreasing order.
+
+    They are quantiles of the fitted lognormal, scaled until they sum to the fleet of the size.
+    """
     count, total = LINES[size], FLEETS[size]
     shape = np.exp(FLEET_SD[size] * ndtri((np.arange(count)[::-1] + 0.5) / count))
     low, high = 0.0, float(MAX_FLEET)
@@ -107,8 +111,10 @@ def line_fleets(size: str) -> list[int]:
 
 
 def _order_by_service(rng: np.random.Generator, layout: LineLayout) -> LineLayout:
-    """Order lines by their number of stops times a random level of service, largest first. The first lines
-    get the most buses."""
+    """Order lines by their number of stops times a random level of service, largest first.
+
+    The first lines get the most buses.
+    """
     calls = np.array([sum(len(stops) for stops in line) for line in layout.lines])
     order = np.argsort(-calls * rng.lognormal(0.0, SERVICE_SD, len(calls)))
     return replace(layout, lines=tuple(layout.lines[line] for line in order))
@@ -188,8 +194,10 @@ def _link_times(rng: np.random.Generator, metres: Floats) -> pd.DataFrame:
 
 
 def _link_seconds(tables: dict[str, pd.DataFrame]) -> dict[str, Floats]:
-    """Return link times at the knots (links, K) by day type, s. Before and after TIMED_HOURS they are
-    constant."""
+    """Return link times at the knots (links, K) by day type, s.
+
+    Before and after TIMED_HOURS they are constant.
+    """
     found = {}
     for day, rows in tables["link_times"].groupby("daytype"):
         by_hour = rows["mean_s"].to_numpy(np.float64).reshape(-1, len(TIMED_HOURS))
@@ -198,8 +206,10 @@ def _link_seconds(tables: dict[str, pd.DataFrame]) -> dict[str, Floats]:
 
 
 def _durations(tables: dict[str, pd.DataFrame], seconds: Floats) -> list[Floats]:
-    """Return per pattern the planned duration of a trip that leaves at each knot (K,), s. The hour of the
-    link times advances with the bus."""
+    """Return per pattern the planned duration of a trip that leaves at each knot (K,), s.
+
+    The hour of the link times advances with the bus.
+    """
     calls = tables["pattern_stops"]
     links, first = calls["link"].to_numpy(), np.flatnonzero(calls["seq0"] == 0)
     durations = []
@@ -218,10 +228,10 @@ def _trips(
     durations: dict[str, list[Floats]],
     after_line: Callable[[], None],
 ) -> pd.DataFrame:
-    """Return the table trips: departures of each line in the fitted proportions of the hours, as many as its
-    buses can drive.
+    """Return the table trips: as many departures of each line as its buses can drive.
 
-    On Sundays only the lines with the most buses run, with the fitted share of all buses.
+    Departures are in the fitted proportions of the hours. On Sundays only the lines with the most buses run,
+    with the fitted share of all buses.
     """
     runs_on_sundays = round(SUNDAY_LINES * len(fleets))
     sunday_share = SUNDAY_FLEET * sum(fleets) / sum(fleets[:runs_on_sundays])
@@ -271,8 +281,10 @@ def _timetable(buses: int, durations: Sequence[Floats], day: str) -> tuple[list[
 
 
 def _departures(base: float, durations: Sequence[Floats], day: str) -> list[Trip]:
-    """Return the trips of a line with `base` departures in the peak hour in each direction. The directions
-    leave their terminals half a headway apart."""
+    """Return the trips of a line with `base` departures in the peak hour in each direction.
+
+    The directions leave their terminals half a headway apart.
+    """
     hourly = np.array(DEPARTURES[day]) * base / max(DEPARTURES[day])
     flow = np.concatenate(([0.0], np.cumsum(hourly)))
     edges = np.arange(5, 25) * 3600.0

@@ -1,5 +1,10 @@
-"""Compiled simulator of the published bus environment. layout: records; motion: the action of one bus;
-rewards: rewards and metrics; observe: observations; steps: functions called from outside."""
+"""Compiled simulator of the published bus environment.
+
+- `layout`: records
+- `motion`: the action of one bus
+- `rewards`: rewards and metrics; `observe`: observations
+- `steps`: the functions that the environment calls
+"""
 
 
 def warm() -> None:

@@ -123,8 +123,10 @@ class SumoBridge:
             self._drive_humans()
 
     def advance(self, step: int, kept: Collection[int] = ()) -> Changes:
-        """Run step number `step` of SUMO and read all vehicles into `readings`. Slots in `kept` stay
-        empty."""
+        """Run step number `step` of SUMO and read all vehicles into `readings`.
+
+        Slots in `kept` stay empty.
+        """
         world, changes = self._world, Changes()
         world.step()
         crashed: frozenset[str] = frozenset()
@@ -163,8 +165,11 @@ class SumoBridge:
             roster.remove(vehicle)
 
     def _add_vehicle(self, vehicle: str, freed: Sequence[int], step: int, changes: Changes) -> None:
-        """Add a vehicle that has just entered. Slots in `freed` stay empty in this step, because the last
-        observations of their vehicles are still to be returned."""
+        """Add a vehicle that has just entered.
+
+        Slots in `freed` stay empty in this step, because the last observations of their vehicles are still to
+        be returned.
+        """
         ask, automated = self._vehicle, vehicle.startswith(AV)
         approach, turn = ask.getRouteID(vehicle).split("_")
         link = 4 * APPROACHES.index(approach) + LINKS.index((turn, ask.getLaneIndex(vehicle)))
@@ -217,8 +222,10 @@ class SumoBridge:
         return around
 
     def _count_lane_changes(self, driven: Floats) -> int:
-        """Return the number of AVs that changed to another lane of the same road in the last step, given all
-        vehicles' distances driven (V,), m."""
+        """Return the number of AVs that changed to another lane of the same road in the last step.
+
+        `driven` (V,): distances driven by all vehicles, m.
+        """
         roster, changes = self.roster, 0
         for row, _, vehicle in roster.automated:
             position, link = driven[row] + roster.traffic.offset[row], roster.traffic.link[row]
@@ -255,7 +262,9 @@ class SumoBridge:
             set_speed(ids[row], _SUMO_CONTROL)
 
     def place(self, row: int) -> tuple[float, float]:
-        """Return where the front of the vehicle in roster row `row` was last read, (x, y) in m from the
-        centre."""
+        """Return the last known position of the front of the vehicle in roster row `row`.
+
+        It is (x, y) in m from the centre.
+        """
         traffic = self.roster.traffic
         return self.network.place(int(traffic.link[row]), float(traffic.position[row]))

@@ -21,8 +21,7 @@ class Roster:
         self.lane: Whole = np.zeros(MAX_VEHICLES, np.int64)
         """Last known lane of an AV, for counting lane changes; -1: unknown. By row."""
         self.serial: Whole = np.full(slots, -1, np.int64)
-        """(N,) serial number of the AV that holds the slot, or held it last, counted over all AVs with a
-        slot."""
+        """(N,) serial number of the slot's current or last AV, counted over all AVs with a slot."""
         self._served = 0
         self.holder: list[str | None] = [None] * slots
         self.automated: list[tuple[int, int, str]] = []

@@ -1,5 +1,7 @@
-"""SUMO in this process. A process can hold one simulation, because libsumo would silently replace it by a
-second; its owner is therefore recorded."""
+"""SUMO in this process, as one simulation per process.
+
+libsumo would silently replace a simulation by a second one, so the owner of the simulation is recorded.
+"""
 
 import weakref
 from contextlib import redirect_stdout
@@ -54,8 +56,11 @@ class Simulation:
         self.sumo = libsumo()
 
     def begin(self, seed: int) -> None:
-        """Load the network and start an episode. Raises HeadwayError if another environment holds this
-        process's simulation, or if SUMO cannot load the network."""
+        """Load the network and start an episode.
+
+        Raises HeadwayError if another environment holds this process's simulation, or if SUMO cannot load the
+        network.
+        """
         global _owner
         owner = _owner() if _owner is not None else None
         if owner is not None and owner is not self:

@@ -1,8 +1,10 @@
-"""Compiled simulator.
+"""Compiled simulator of highway merges.
 
-layout: records; lanes, control, drivers, motion, contact: one simulation step; spawn: start of an episode;
-surroundings, rewards, observe, supervisor: functions of the state; steps: the functions that the environment
-calls.
+- `layout`: records
+- `spawn`: start of an episode
+- `lanes`, `control`, `drivers`, `motion`, `contact`: one simulation step
+- `surroundings`, `rewards`, `observe`, `supervisor`: functions of the state
+- `steps`: the functions that the environment calls
 """
 
 

@@ -1,6 +1,7 @@
 """Records and arrays of the kernel.
 
-Axes: L lanes, C copies, N slots of CAVs, V maximum number of vehicles and obstacles of a copy. Lengths in m,
+Axes: L lanes, C copies, N slots of connected automated vehicles
+(CAVs), V maximum number of vehicles and obstacles of a copy. Lengths in m,
 times in s, speeds in m/s, angles in rad. x runs along the highway, y to its right.
 """
 

@@ -8,7 +8,7 @@ from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
-    from headway_launch.console.tables import Cell
+    from headway_launch.console.tables import Value
 
 EXAMPLES = """\
 examples:
@@ -52,7 +52,7 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(f"scenario '{arguments.scenario}' has no trips on weekdays or Sundays")
     print_table(("quantity", "value"), [*_sizes(tables), *meta_rows(tables.meta)], title=arguments.scenario)
     print()
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[Value, ...]] = [
         (label, *(getattr(day, field) for day in days)) for field, label in type(days[0]).LABELS.items()
     ]
     print_table(("quantity per day", *(day.day_type for day in days)), rows)
@@ -70,7 +70,7 @@ def execute(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _sizes(tables: "Tables") -> list[tuple["Cell", ...]]:
+def _sizes(tables: "Tables") -> list[tuple["Value", ...]]:
     return [
         ("lines", int(tables.patterns["line"].nunique())),
         ("patterns", len(tables.patterns)),

@@ -37,7 +37,7 @@ _COLUMNS = (
     "measured",
     "difference",
     "tolerance",
-    "holds",
+    "within tolerance",
     "measured on",
 )
 
@@ -97,7 +97,7 @@ def execute(arguments: argparse.Namespace) -> int:
         spare=("sd over days", "tolerance", "difference"),
     )
     judged = [row for row in rows if row.judged]
-    print(f"{sum(row.holds for row in judged)} of {len(judged)} statistics hold")
+    print(f"{sum(row.holds for row in judged)} of {len(judged)} statistics are within tolerance")
     if left_out := len(rows) - len(judged):
         lines, city = line_count(tables, config), CITY_LINES[config.day_type]
         print(

@@ -18,7 +18,8 @@ _SETTINGS = (
     (400, "algo=ippo algo.gamma=0.99 algo.gae_lambda=0.95 rollout.copies=1 rollout.block=1"),
     (math.inf, "algo=ippo preset=bus_lines env_steps=28_500"),
 )
-"""Most buses at once, and the suggested settings: those of the line, `bus_study_network` and `bus_city`."""
+"""Maximum number of buses at once, and the settings suggested up to it: those of the line,
+`bus_study_network` and `bus_city`."""
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +29,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def check_output(arguments: argparse.Namespace) -> Path:
-    """Return the folder to write. Raises HeadwayError if it is taken; called before any work is done."""
+    """Return the folder to write; called before any work. Raises HeadwayError if the folder is in use."""
     from headway_envs.bus.config import SCENARIOS
 
     out = Path(arguments.out)
@@ -49,20 +50,20 @@ def check_output(arguments: argparse.Namespace) -> Path:
 
 
 def _refuse_others(out: Path) -> None:
-    """Raise HeadwayError if the folder exists and holds anything but a scenario."""
+    """Raise HeadwayError if the folder exists and contains anything other than a scenario."""
     from headway_envs.bus.scenario.tables import COLUMNS
 
     held = {entry.name: entry.is_file() for entry in out.iterdir()} if out.is_dir() else {}
     tables = {f"{name}.parquet" for name in COLUMNS}
     others = [name for name, is_file in held.items() if not is_file or name not in {*tables, "meta.json"}]
     if held and not others and not tables & set(held):
-        others = ["meta.json"]  # without tables, it may belong to something else
+        others = ["meta.json"]  # without tables, it may not be a scenario's
     if others:
         raise HeadwayError(f"OUT: {out} holds other files ({min(others)}); name a new folder")
 
 
 def write_scenario(tables: "Tables", out: Path) -> None:
-    """Check and write a scenario; an old one is removed once the new one is complete in its place."""
+    """Check and write a scenario; an old one in its place is removed once the new one is complete."""
     from headway_envs.bus.scenario.tables import check_tables, write_tables
 
     check_tables(tables)

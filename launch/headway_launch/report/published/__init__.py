@@ -1,4 +1,4 @@
-"""Sections that compare a study with published results, which are stored beside the environments."""
+"""Sections that compare a study with published results, which are stored with the environments."""
 
 from headway_launch.report.parts import Section
 from headway_launch.report.published.bus_published import bus_published_section

@@ -123,7 +123,7 @@ def _coverage(data: StudyData, task: str, table: pd.DataFrame) -> str:
 
 
 def _missing_seeds(table: pd.DataFrame) -> list[Part]:
-    """Name the controllers of which some seeds have no final reward or AUC."""
+    """Name the controllers with seeds that have no final reward or AUC."""
     lines: list[Part] = []
     for name, seeds in _SEEDS_WITH_VALUE.items():
         fewer = table[table[f"{name}_seeds"] < table["seeds"]]
@@ -172,7 +172,7 @@ def _correlations(table: pd.DataFrame, number: str) -> list[Part]:
             "independent.",
             ["result", "algorithms", "Spearman's rho", "Kendall's tau"],
             rows,
-            pd.DataFrame.from_dict(found, orient="index").rename_axis("figure").reset_index(),
+            pd.DataFrame.from_dict(found, orient="index").rename_axis("metric").reset_index(),
         )
     ]
     if repeated:
@@ -228,7 +228,7 @@ def _rank_correlation(table: pd.DataFrame, name: str) -> dict[str, float]:
         enough = len(both) >= _FEWEST_ALGORITHMS and varies
         known: Any = compute(both.iloc[:, 0], both.iloc[:, 1]) if enough else None
         found[test] = float("nan") if known is None else float(known.statistic)
-        if test == "kendall":  # scipy's p-value of Spearman's rho is valid for many pairs only
+        if test == "kendall":  # scipy's p-value of Spearman's rho is valid only for many pairs
             found["kendall_p"] = float("nan") if known is None else float(known.pvalue)
     return found
 

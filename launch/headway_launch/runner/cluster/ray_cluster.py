@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Self
 from headway.config.experiment import BackendConfig
 from headway.contracts.errors import HeadwayError
 from headway.rollout.workers.ray_cluster import connect, disconnect
-from headway_launch.runner.jobs import CoreShares, PlannedJob, share_cores
+from headway_launch.runner.cores import CoreShares, share_cores
+from headway_launch.runner.jobs import PlannedJob
 from headway_launch.runner.scheduler import Training
 from headway_launch.runner.training_process import TrainingProcess
 
@@ -32,8 +33,10 @@ class SessionCluster:
 
     @classmethod
     def open(cls, backends: Sequence[BackendConfig]) -> Self:
-        """Connect to the cluster that the backends request, or start one on this machine. Raises HeadwayError
-        if that fails."""
+        """Connect to the cluster that the backends request, or start one on this machine.
+
+        Raises HeadwayError if that fails.
+        """
         on_ray = [backend for backend in backends if backend.name == "ray"]
         if not on_ray:
             return cls()
@@ -59,8 +62,10 @@ class SessionCluster:
         return replace(asked, address=self.address, worker_cpus=cpus)
 
     def share_cores(self, backend: BackendConfig, jobs: Sequence[PlannedJob], cores: int) -> CoreShares:
-        """Return how the cores are shared, as `headway_launch.runner.jobs.share_cores`. `cores`: of this
-        machine. Training processes on the cluster take at most the CPUs of one node each."""
+        """Return how the cores are shared, as `headway_launch.runner.cores.share_cores`.
+
+        `cores`: of this machine. Training processes on the cluster take at most the CPUs of one node each.
+        """
         if not self.learners or self.cpus is None:
             return share_cores(backend, jobs, cores, self.cpus)
         return share_cores(backend, jobs, self.cpus, node_cpus=self.node_cpus)

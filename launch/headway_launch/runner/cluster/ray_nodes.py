@@ -1,5 +1,7 @@
-"""Wait until a Ray cluster has a number of nodes:
-`python -m headway_launch.runner.cluster.ray_nodes HOST:PORT NUMBER`."""
+"""Command that waits until a Ray cluster has a number of nodes.
+
+Usage: `python -m headway_launch.runner.cluster.ray_nodes HOST:PORT NUMBER`.
+"""
 
 import argparse
 import sys
@@ -14,8 +16,10 @@ _POLL_S = 0.5
 
 
 def wait_for_nodes(address: str, number: int, patience_s: float = _PATIENCE_S) -> None:
-    """Wait until the cluster has `number` live nodes. Raises HeadwayError with the reason after `patience_s`
-    seconds, or at once if Ray is not installed."""
+    """Wait until the cluster has `number` live nodes.
+
+    Raises HeadwayError with the reason after `patience_s` seconds, or at once if Ray is not installed.
+    """
     require_ray()
     deadline = time.monotonic() + patience_s
     while True:

@@ -28,7 +28,7 @@ from headway.rollout.workers.ray_workers import PATIENCE_S, Place, pickled_whole
 from headway.training.loop import TrainingJob
 from headway_launch.console.output import print_line
 from headway_launch.console.threads import ONE_THREAD
-from headway_launch.runner.jobs import cores_taken, gpus_of
+from headway_launch.runner.cores import cores_taken, gpus_of
 from headway_launch.runner.training_process import train_and_report
 
 _WAIT_S = 1.0
@@ -42,7 +42,7 @@ class TrainingHost:
         self.stop = threading.Event()
 
     def place(self) -> Place:
-        """Return the node on which it runs."""
+        """Return host, process and versions of this Ray worker."""
         return Place.here()
 
     def train(self, pickled: bytes) -> None:
@@ -66,7 +66,7 @@ class TrainingHost:
     def _put(self, event: Event) -> None:
         """Queue an event for the session."""
         if isinstance(event, Failed):
-            # Into Ray's log on this node as well: the session may have lost the connection.
+            # Also to Ray's log on this node: the session may have lost the connection.
             print_line(f"headway: {event.line}")
         self.events.put(event)
 
@@ -194,8 +194,10 @@ class RayTraining:
 
 
 def without_usage(event: Event) -> Event:
-    """Return an event from another machine without its resource use, since that divides the energy of this
-    machine only."""
+    """Return an event from another machine without its resource use.
+
+    The session divides the energy of its own machine only, by the use of that machine.
+    """
     match event:
         case Started():
             return replace(event, process_ids=())

@@ -188,14 +188,19 @@ def _require_kept(option: str, value: str) -> None:
 
 
 def _quoted(word: str) -> str:
-    """Return a word quoted for an #SBATCH line. sbatch reads double quotes and backslashes as the shell does,
-    and a bare `#` as the start of a comment."""
+    """Return a word quoted for an #SBATCH line.
+
+    There sbatch reads double quotes and backslashes as the shell does, and a bare `#` as the start of a
+    comment.
+    """
     return word if _PLAIN.fullmatch(word) else '"' + re.sub(r'(["\\])', r"\\\1", word) + '"'
 
 
 def _as_pattern(folder: Path) -> str:
-    """Return a folder for the pattern of --output, in which `%` starts a placeholder. Raises HeadwayError if
-    sbatch cannot represent its name."""
+    """Return a folder for the pattern of --output, in which `%` starts a placeholder.
+
+    Raises HeadwayError if sbatch cannot represent its name.
+    """
     text = str(folder)
     for unwanted in ("\\", "\n", *_REMOVED_WORDS):
         if unwanted in text.lower():
@@ -207,8 +212,10 @@ def _as_pattern(folder: Path) -> str:
 
 
 def write_cluster_script(overrides: Sequence[str], allocation: Allocation) -> Path:
-    """Write the script that runs a sweep on one Ray cluster in the allocation, and return its path. Raises
-    HeadwayError if the sweep would, and for overrides of the keys that the script sets."""
+    """Write the script that runs a sweep on one Ray cluster in the allocation, and return its path.
+
+    Raises HeadwayError if the sweep is invalid, and for overrides of the keys that the script sets.
+    """
     for override in overrides:
         key, _, value = override.partition("=")
         key = key.lstrip("+~")
@@ -225,8 +232,11 @@ def write_cluster_script(overrides: Sequence[str], allocation: Allocation) -> Pa
 
 
 def write_array_script(overrides: Sequence[str], allocation: Allocation) -> Path:
-    """Write the script that runs a sweep as an array job with one task, on one node, per seed, and return its
-    path. Raises HeadwayError if the sweep would, or if the cells have different seeds."""
+    """Write the script that runs a sweep as an array job, with one task per seed, and return its path.
+
+    Each task runs on one node. Raises HeadwayError if the sweep is invalid, or if its cells have different
+    seeds.
+    """
     if allocation.nodes > 1:
         raise HeadwayError("with --array each seed runs on one node: leave out --nodes or --array")
     experiments = compose_sweep(overrides)

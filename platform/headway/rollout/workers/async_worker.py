@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from headway.contracts import Contributor, EnvSpec, HeadwayError, Trajectory
-from headway.rollout.plan import RolloutPlan, Shard, process_holds
+from headway.rollout.plan import RolloutPlan, Shard, copies_limit_text
 from headway.rollout.sampler import Sampler
 from headway.rollout.workers.shared_memory import SharedPickle
 from headway.rollout.workers.usage import OwnUsage
@@ -37,7 +37,7 @@ class AsynchronousPlan:
         if limit is not None and rollout.block > limit:
             block = max(size for size in range(1, limit + 1) if rollout.copies % size == 0)
             raise HeadwayError(
-                f"{process_holds(rollout.spec, limit)}, and a worker, which has a block of copies, would "
+                f"{copies_limit_text(rollout.spec, limit)}, and a worker, which has a block of copies, would "
                 f"hold {rollout.block}; set rollout.block={block}"
             )
         return rollout.shards(rollout.copies // rollout.block)

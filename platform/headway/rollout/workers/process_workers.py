@@ -84,7 +84,8 @@ class SharedMemoryTransport(ProcessLauncher):
         self.trajectory = Trajectory.from_buffer(self.blocks[0].buffer, plan.layout)
         self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
         setups = [WorkerSetup(pickled, shard, *self.blocks) for shard in shards]
-        super().__init__(setups, plan.preload, pickled)
+        policy = type(plan.policy).__module__
+        super().__init__(setups, [*plan.preload, *([policy] if policy != "__main__" else [])], pickled)
 
     def publish(self, parameters: Parameters) -> None:
         """Copy the parameters to shared memory."""

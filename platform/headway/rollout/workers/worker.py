@@ -1,4 +1,7 @@
-"""The rollout worker: a light process that executes commands and ends with its parent."""
+"""The rollout worker: a light process that executes commands and ends with its parent.
+
+The loop over environment steps is `Sampler.collect`.
+"""
 
 import os
 import signal

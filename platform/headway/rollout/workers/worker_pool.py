@@ -61,8 +61,8 @@ class WorkerLauncher(Protocol):
 
 
 _MAX_LOST_MACHINES = 3
-"""Lost machines in a row after which a worker is still replaced. Until the whole cluster knows of a loss, a
-replacement may be placed on the same machine."""
+"""Lost machines in a row after which a worker is still replaced. Until a loss is known to the whole cluster,
+a replacement may be placed on the same machine."""
 
 
 @dataclass
@@ -78,9 +78,9 @@ class _Worker:
     pending: list[Command] = field(default_factory=list)
     """Commands that a replacement has yet to execute; the first one is in progress."""
     failures: int = 0
-    """Failures of its predecessors since the last executed command, except lost machines."""
+    """Failures of the workers that it replaced since the last executed command, except lost machines."""
     lost_machines: int = 0
-    """Lost machines of its predecessors since the last executed command."""
+    """Lost machines of the workers that it replaced since the last executed command."""
 
     def update(self, command: Command, done: Done) -> None:
         """Update the state from the answer to a command."""

@@ -43,9 +43,11 @@ class TrackingError(HeadwayError):
 
 
 class Tracker:
-    """Connection to MLflow, for use from one thread. Every method raises TrackingError, with one line, if
-    MLflow fails or its database stays locked for `wait_s` seconds (rounded up to MLflow's own waits of 20
-    s)."""
+    """Connection to MLflow, for use from one thread.
+
+    Every method raises TrackingError, with one line, if MLflow fails or its database stays locked for
+    `wait_s` seconds (rounded up to MLflow's own waits of 20 s).
+    """
 
     def __init__(self, root: Path, tracking_uri: str | None = None, wait_s: float = 60.0) -> None:
         self.root = root.resolve()
@@ -68,8 +70,10 @@ class Tracker:
         tags: Mapping[str, str],
         running: bool = True,
     ) -> tuple[str, str]:
-        """Return (experiment, parent run) of a cell of a study; create them if missing. `running`: set the
-        parent run's status to RUNNING."""
+        """Return (experiment, parent run) of a cell of a study; create them if missing.
+
+        `running`: set the parent run's status to RUNNING.
+        """
         with self._locked("a study was looked up"):
             experiment = self._experiment(study)
             query = f"tags.`{_CELL_TAG}` = '{cell}'"
@@ -93,7 +97,7 @@ class Tracker:
         parameters: Mapping[str, str],
         tags: Mapping[str, str],
     ) -> str:
-        """Return MLflow's identity of the run `run_id`; create it as a child of `parent` if missing."""
+        """Return MLflow's ID of the stored run `run_id`; create MLflow's run under `parent` if missing."""
         query = f"tags.`{_RUN_TAG}` = '{run_id}'"
         found = self._ask("search_runs", [experiment], filter_string=query, max_results=1)
         if found:
@@ -136,8 +140,7 @@ class Tracker:
     def finish(
         self, run: str, status: Status, ended: str, summary: Mapping[str, float], files: Sequence[Path]
     ) -> None:
-        """Send the changed values of a run's summary and its files, then its status unless nothing
-        changed."""
+        """Send the changed values of a run's summary and its files, then its status if anything changed."""
         from mlflow.entities import Metric
 
         moment = milliseconds(ended)
@@ -160,8 +163,10 @@ class Tracker:
             self._ask("set_terminated", run, status, end_time=milliseconds(ended))
 
     def _create_database(self) -> None:
-        """Create MLflow's database if missing: under a lock and a temporary name, so that sessions starting
-        together do not race and a killed one leaves no partial tables."""
+        """Create MLflow's database if missing, safely for sessions that start together.
+
+        It is created under a lock and a temporary name, so that a killed session leaves no partial tables.
+        """
         path, draft = self.root / _DATABASE, self.root / f".{_DATABASE}.partial"
         if path.exists():
             return
@@ -219,8 +224,10 @@ def without_password(uri: str) -> str:
 
 
 def require_answer(uri: str) -> None:
-    """Raise TrackingError if the server of an `http` or `https` URI cannot be reached. Other URIs are not
-    checked."""
+    """Raise TrackingError if the server of an `http` or `https` URI cannot be reached.
+
+    Other URIs are not checked.
+    """
     from urllib.error import HTTPError
     from urllib.parse import urlsplit
     from urllib.request import urlopen

@@ -51,8 +51,10 @@ class RunSync:
         """MLflow's identity of the run; empty before `begin` and after a failure."""
 
     def begin(self, tracker: Tracker, running: bool = True) -> None:
-        """Find or create the run in MLflow and send what its folder already holds. `running`: set the status
-        of its cell's parent run to RUNNING."""
+        """Find or create the run in MLflow and send what its folder already holds.
+
+        `running`: set the status of its cell's parent run to RUNNING.
+        """
         self._record = record = RunRecord.read(self.directory)
         self._curve = ThinnedCurve(record.iterations, self._curve_points)
         experiment, parent = tracker.cell(
@@ -111,19 +113,21 @@ class RunSync:
 
 
 def sync(root: Path, tracking_uri: str | None = None) -> tuple[str, ...]:
-    """Bring MLflow (None: the database in the root) up to date with every run folder under `root`, except
-    those whose session may still be running.
+    """Bring MLflow up to date with every run folder under `root`.
 
-    Safe to repeat: nothing is sent twice. Returns one line for each run that was sent or could not be read.
-    Raises TrackingError if MLflow fails.
+    Runs whose session may still be running are left out. `tracking_uri` None: the database in the root. Safe
+    to repeat: nothing is sent twice. Returns one line per run that was sent or could not be read. Raises
+    TrackingError if MLflow fails.
     """
     runs, lines = _ended_runs(root)
     return (*lines, *_send_missing(root, tracking_uri, runs))
 
 
 def sync_each(root: Path) -> tuple[str, ...]:
-    """Bring MLflow up to date by `sync`, each run at the tracking URI it was trained with. Returns one line
-    for each run that was sent or could not be read. Raises TrackingError if MLflow fails."""
+    """Bring MLflow up to date by `sync`, each run at the tracking URI it was trained with.
+
+    Returns one line for each run that was sent or could not be read. Raises TrackingError if MLflow fails.
+    """
     runs, lines = _ended_runs(root)
     for uri in dict.fromkeys(record.tracking_uri for _, record in runs):
         lines += _send_missing(root, uri, [run for run in runs if run[1].tracking_uri == uri])
@@ -137,8 +141,11 @@ def unsent_runs(root: Path, tracking_uri: str | None) -> list[Path]:
 
 
 def send_unsent(root: Path, tracker: Tracker) -> None:
-    """Send the `unsent_runs` of a tracker's URI. Raises TrackingError if MLflow fails and, after all other
-    runs are sent, HeadwayError if runs cannot be read."""
+    """Send the `unsent_runs` of a tracker's URI.
+
+    Raises TrackingError if MLflow fails and, after all other runs are sent, HeadwayError if runs cannot be
+    read.
+    """
     _, unreadable = _send(root, tracker, unsent_runs(root, None if tracker.local else tracker.uri))
     if unreadable:
         raise HeadwayError("; ".join(unreadable))
@@ -159,8 +166,10 @@ def _missing(root: Path, tracking_uri: str | None, runs: Iterable[tuple[Path, Ru
 
 
 def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> tuple[list[str], list[str]]:
-    """Send runs and return one line per run sent and one per unreadable run. A lock admits one session at a
-    time, so that no run is created twice in MLflow."""
+    """Send runs and return one line per run sent and one per unreadable run.
+
+    A lock admits one session at a time, so that no run is created twice in MLflow.
+    """
     sent: list[RunRecord] = []
     unreadable: list[str] = []
     with locked(root / ".sync.lock", _SYNC_SECONDS, "MLflow was brought up to date"):
@@ -180,7 +189,7 @@ def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> tuple[list[s
 
 
 def _end_cells(root: Path, tracker: Tracker, sent: Iterable[RunRecord]) -> None:
-    """End the MLflow parent runs of the cells of `sent` runs, if none of their runs is still trained."""
+    """End the MLflow parent runs of the cells of `sent` runs, unless a run of the cell is still training."""
     # A session that ended before it sent its runs did not end their cells either.
     cells: dict[tuple[str, str], list[RunRecord]] = {(run.study, run.cell): [] for run in sent}
     if not cells:
@@ -202,7 +211,7 @@ def _end_cells(root: Path, tracker: Tracker, sent: Iterable[RunRecord]) -> None:
 
 
 def _ended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:
-    """Return the ended runs that no other live session may be sending, and one line per unreadable run."""
+    """Return the ended runs that no other live session can be sending, and one line per unreadable run."""
     runs, lines = [], []
     for folder in sorted(run_folders(root)):
         try:
@@ -217,7 +226,7 @@ def _ended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:
 
 
 def local_experiment(folder: Path) -> str | None:
-    """Return the experiment of a run in the MLflow database beside the runs; None: the run is not in it."""
+    """Return a run's experiment in the MLflow database of its store; None if the database lacks the run."""
     try:
         return str(read_json(folder / _STATE)["experiment"])
     except (HeadwayError, KeyError):

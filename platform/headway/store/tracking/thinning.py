@@ -21,7 +21,7 @@ class Point:
 class ThinnedCurve:
     """Thinned learning curve of a run: at most `points` points per metric over a budget of `iterations`.
 
-    The budget is split into intervals of equal length, and the last iteration is an interval of its own; the
+    The budget is split into intervals of equal length, and the last iteration is a separate interval; the
     first point of each metric in each interval is kept. The selection does not depend on when rows arrive.
     """
 
@@ -32,8 +32,10 @@ class ThinnedCurve:
         self._waiting: list[Row] = []
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Add rows (`iteration`, `env_steps`, `wall_s`, metrics) in the order of their iterations. Metrics
-        are the columns named `group/name`."""
+        """Add rows (`iteration`, `env_steps`, `wall_s`, metrics) in the order of their iterations.
+
+        Metrics are the columns named `group/name`.
+        """
         self._waiting.extend(rows)
 
     def take(self, iteration: int, sent: Mapping[str, frozenset[int]] | None = None) -> list[Point]:

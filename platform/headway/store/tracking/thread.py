@@ -104,8 +104,7 @@ class TrackingThread:
             self._reconnect()
 
     def _try(self, step: Callable[[Tracker], object], on_failure: Callable[[], object]) -> bool:
-        """Run `step` and return whether MLflow responds; `on_failure` is called for an error other than
-        MLflow's."""
+        """Run `step` and return whether MLflow responds; call `on_failure` after an error outside MLflow."""
         assert self._tracker is not None
         try:
             step(self._tracker)

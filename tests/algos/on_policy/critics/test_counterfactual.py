@@ -1,4 +1,4 @@
-"""COMA's critic, and central values that see the others' actions, against loops over agents and actions.
+"""COMA's critic, values that see the others' actions, and local ones of teams, against loops over agents.
 
 The loops evaluate one network of one replica at a time, as float64 matrices. They share with Headway only the
 random numbers for actions sampled where none were taken.
@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 import torch
+from covering import quick_or_slow
 from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
@@ -22,8 +23,7 @@ from headway_algos.on_policy.critics.return_regression import ReturnNetworks
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.gae import counterfactual_advantages
 from headway_algos.on_policy.learner import OnPolicyLearner
-from headway_algos.recipes.coma import COMAConfig
-from headway_algos.recipes.mappo import MAPPOConfig
+from headway_algos.registry import configure
 
 Array = NDArray[np.float64]
 Fabricate = Callable[..., Trajectory]
@@ -36,6 +36,7 @@ DISCRETE = EnvSpec(
 STATE = replace(DISCRETE, state_size=5)
 TEAM = replace(STATE, shared_reward=True)
 TEAM_BLIND = replace(DISCRETE, shared_reward=True)
+TEAMS = replace(DISCRETE, shared_in_groups=True)
 BOX = replace(STATE, action_space=Box((-0.5, -1.0), (0.5, 1.0)), has_action_mask=False)
 SETTINGS: dict[str, Any] = {
     "model": ModelConfig(hidden=(7, 6), actor_gain=0.5),
@@ -47,8 +48,9 @@ SETTINGS: dict[str, Any] = {
     "gae_lambda": 0.7,
     "piece_samples": 40,
 }
-COMA = COMAConfig(**SETTINGS, target_every=2)
-OTHERS = MAPPOConfig(**SETTINGS, critic_actions="others")
+COMA = configure("coma", **SETTINGS, target_every=2)
+OTHERS = configure("mappo", **SETTINGS, critic_actions="others")
+LOCAL = configure("ippo", **SETTINGS)
 CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "coma": (COMA, DISCRETE),
     "coma state, shared": (replace(COMA, policies="shared"), STATE),
@@ -58,11 +60,15 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "coma team": (COMA, TEAM),
     "coma team without state, groups": (replace(COMA, policies="groups"), TEAM_BLIND),
     "coma team, no masks": (COMA, replace(TEAM, has_action_mask=False)),
+    "coma, a team per group": (COMA, TEAMS),
     "others": (OTHERS, DISCRETE),
     "others state, shared": (replace(OTHERS, policies="shared"), STATE),
     "others box": (OTHERS, BOX),
     "others team": (OTHERS, TEAM),
     "others team box, groups": (replace(OTHERS, policies="groups"), replace(BOX, shared_reward=True)),
+    "local team": (LOCAL, TEAM),
+    "local team, shared": (replace(LOCAL, policies="shared"), TEAM),
+    "local, a team per group": (LOCAL, TEAMS),
 }  # fmt: skip
 SEEDS, COPIES, STEPS = (4, 8), 2, 9
 
@@ -97,7 +103,7 @@ class Loops:
             self.config.policies
         ]
         self.policies = max(self.policy_of) + 1
-        self.one_network = self.spec.shared_reward
+        self.one_network = self.spec.shared_reward and self.config.critic != "local"
 
     def _tensor(self, tensor: torch.Tensor, p: int) -> Array:
         return tensor.detach().double().numpy()[p]
@@ -130,17 +136,19 @@ class Loops:
         """The critic's outputs from agent n's viewpoint."""
         k = 0 if self.one_network else self.policy_of[n]
         p = self.r * (1 if self.one_network else self.policies) + k
-        counterfactual = self.config.critic == "counterfactual"
+        counterfactual, local = self.config.critic == "counterfactual", self.config.critic == "local"
         joint = np.where(moment.joint[:, None], moment.observations, 0)
         seen = list(moment.state) if self.spec.state_size else list(joint.ravel())
-        if counterfactual or not self.spec.shared_reward:
+        if local:
+            seen = []
+        if not self.one_network or counterfactual:
             seen += list(moment.observations[n])
         row = np.array(seen)
         if self.config.normalise_observations:
             moments = networks.input_moments
             mean, variance = self._tensor(moments.mean, p)[0], self._tensor(moments.variance, p)[0]
             row = np.clip((row - mean) / np.sqrt(variance + 1e-8), -10, 10)
-        for other in range(self.spec.num_agents):
+        for other in range(0 if local else self.spec.num_agents):
             known = other != n and moment.joint[other]
             block = self.encoded(moment.actions[other])
             row = np.append(row, block if known else np.zeros(len(block)))
@@ -213,12 +221,19 @@ def _lambda_return(
 
 
 def _expected(learner: OnPolicyLearner, made: Trajectory, r: int, iteration: int) -> tuple[Array, ...]:
-    """Advantages, values and returns (T, E, N) of replica r by loops."""
+    """Advantages, values and returns (T, E, N) of replica r by loops.
+
+    A team's return ends with the episode, and agents that are gone await what their teammates do.
+    """
     loops, critic, config, spec = Loops(learner, r), learner.critic, learner.config, learner.spec
     assert isinstance(critic, CounterfactualCritic | ValueCritic)
     counterfactual = isinstance(critic, CounterfactualCritic)
     lagging = critic.target if isinstance(critic, CounterfactualCritic) else critic.networks
     steps, copies, agents = made.rewards.shape
+    mates = np.zeros((agents, agents), bool)
+    if spec.shared_reward or spec.shared_in_groups:
+        names = np.zeros(agents) if spec.shared_reward else np.array(spec.groups)
+        mates = names[:, None] == names
     random = generator(learner.seeds[r], "critic bootstrap actions", iteration)
     size = () if isinstance(spec.action_space, Discrete) else (2,)
     draw = random.random if isinstance(spec.action_space, Discrete) else random.standard_normal
@@ -245,12 +260,12 @@ def _expected(learner: OnPolicyLearner, made: Trajectory, r: int, iteration: int
             if (made.truncated[t, c] & ~made.terminated[t, c]).any():
                 moment = loops.draw(_moment(made, t + 1, c, ended[t, c]), draw((agents, *size)))
                 final[t, c] = [ahead(moment, n) for n in range(agents)]
-                if spec.shared_reward and moment.joint.any():
-                    # Agents that are gone await what their teammates do.
-                    final[t, c, ~moment.joint] = final[t, c, moment.joint].mean()
+                for n in np.flatnonzero(~moment.joint):
+                    if (there := mates[n] & moment.joint).any():
+                        final[t, c, n] = final[t, c, there].mean()
     taken = made.actions if counterfactual else np.zeros((steps, copies, agents), np.int64)
     over, cut = made.terminated, made.truncated & ~made.terminated
-    if spec.shared_reward:
+    if mates.any():
         everyone = ended.all(axis=2, keepdims=True)
         over = np.repeat(made.terminated.all(axis=2, keepdims=True), agents, axis=2)
         cut = everyone & ~over
@@ -258,10 +273,14 @@ def _expected(learner: OnPolicyLearner, made: Trajectory, r: int, iteration: int
     for c in range(copies):
         here = made.alive[:, c].copy()
         last = values[steps, c, :, 0].copy()
-        if spec.shared_reward and here[-1].any():
-            last = np.where(here[-1], last, last[here[-1]].mean())
-        else:
-            last = np.where(here[-1], last, 0)
+        for n in np.flatnonzero(~here[-1]):
+            if (there := mates[n] & here[-1]).any():
+                last[n] = values[steps, c, there, 0].mean()
+            elif here[:, n].any():
+                # What follows is unknown: the agent is worth what it was when last seen.
+                seen = np.flatnonzero(here[:, n])[-1]
+                outputs = values[seen, c, n]
+                last[n] = chances[seen, c, n] @ outputs if counterfactual else outputs[0]
         for n in range(agents):
             alive = made.alive[:-1, c, n]
             u = np.where(alive, taken[:, c, n], 0)
@@ -278,7 +297,14 @@ def _expected(learner: OnPolicyLearner, made: Trajectory, r: int, iteration: int
     return advantages, kept, returns
 
 
-@pytest.mark.parametrize(("config", "spec"), CASES.values(), ids=CASES)
+@pytest.mark.parametrize(
+    ("config", "spec"),
+    quick_or_slow(
+        CASES,
+        "coma groups, nothing normalised",
+        "others team box, groups",
+    ),
+)
 def test_estimates_equal_the_loops(
     fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
 ) -> None:

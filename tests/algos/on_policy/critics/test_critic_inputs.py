@@ -9,15 +9,14 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
+from headway.contracts import Box, Discrete, EnvSpec, MultiDiscrete, Trajectory, generator
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
-from headway_algos.recipes.coma import COMAConfig
-from headway_algos.recipes.mappo import MAPPOConfig
+from headway_algos.registry import configure
 
 Fabricate = Callable[..., Trajectory]
 Poison = Callable[[Trajectory], Trajectory]
@@ -30,8 +29,8 @@ TEAM = replace(STATE, shared_reward=True)
 TEAM_BLIND = replace(DISCRETE, shared_reward=True)
 BOX = replace(STATE, action_space=Box((-0.5, -1.0), (0.5, 1.0)), has_action_mask=False)
 SETTINGS: dict[str, Any] = {"model": ModelConfig(hidden=(7, 6), actor_gain=0.5), "precision": "float64"}
-COMA = COMAConfig(**SETTINGS)
-OTHERS = MAPPOConfig(**SETTINGS, critic_actions="others")
+COMA = configure("coma", **SETTINGS)
+OTHERS = configure("mappo", **SETTINGS, critic_actions="others")
 STEPS = 9
 
 
@@ -68,6 +67,21 @@ def test_a_viewpoint_shows_the_others_actions_and_not_its_own(
     assert not changed[:, :, 1].any()
     for n in (0, 2, 3):
         np.testing.assert_array_equal(changed[:, :, n], there)
+
+
+def test_each_of_the_others_choices_is_one_hot(fabricate: Fabricate) -> None:
+    spec = replace(DISCRETE, action_space=MultiDiscrete((2, 3)), has_action_mask=False)
+    learner = OnPolicyLearner(OTHERS, spec, (1,), "cpu")
+    made = fabricate(spec, 5, 2, seed=0)
+    made.actions[:] = np.random.default_rng(0).integers(0, (2, 3), made.actions.shape)
+    inputs = _inputs(learner, made)
+    shown = inputs[..., -5 * spec.num_agents :].reshape(*inputs.shape[:3], spec.num_agents, 5)
+    for step, copy, agent, other in np.ndindex(*shown.shape[:4]):
+        expected = np.zeros(5)
+        if other != agent:
+            first, second = made.actions[step, copy, other]
+            expected[[first, 2 + second]] = 1
+        np.testing.assert_array_equal(shown[step, copy, agent, other], expected)
 
 
 @pytest.mark.parametrize("config", [COMA, replace(OTHERS, policies="shared")])
@@ -133,7 +147,7 @@ def test_agents_of_one_policy_with_individual_rewards_have_individual_values(
 ) -> None:
     """V(s) alone would be equal for all; with the own observation appended, values are equal exactly for
     agents with equal observations."""
-    learner = OnPolicyLearner(MAPPOConfig(**SETTINGS, policies="shared"), STATE, (1,), "cpu")
+    learner = OnPolicyLearner(configure("mappo", **SETTINGS, policies="shared"), STATE, (1,), "cpu")
     made = fabricate(STATE, 5, 2, seed=0)
     made.observations[:, :, 3] = made.observations[:, :, 0]
     values = _estimate(learner, made).values
@@ -145,7 +159,7 @@ def test_agents_of_one_policy_with_individual_rewards_have_individual_values(
 def test_a_teams_central_critic_sees_the_state_only(
     fabricate: Fabricate, policies: Literal["independent", "shared", "groups"]
 ) -> None:
-    config = MAPPOConfig(**{**SETTINGS, "normalise_observations": False}, policies=policies)
+    config = configure("mappo", **{**SETTINGS, "normalise_observations": False}, policies=policies)
     learner = OnPolicyLearner(config, TEAM, (1,), "cpu")
     made = fabricate(TEAM, 5, 2, seed=0, absent=0.2)
     np.testing.assert_array_equal(_inputs(learner, made), made.states[:-1, :, None])
@@ -155,7 +169,7 @@ def test_a_teams_central_critic_sees_the_state_only(
 def test_with_individual_rewards_the_own_observation_is_appended_to_the_state(
     fabricate: Fabricate, policies: Literal["independent", "shared", "groups"]
 ) -> None:
-    config = MAPPOConfig(**{**SETTINGS, "normalise_observations": False}, policies=policies)
+    config = configure("mappo", **{**SETTINGS, "normalise_observations": False}, policies=policies)
     learner = OnPolicyLearner(config, STATE, (1,), "cpu")
     made = fabricate(STATE, 5, 2, seed=0)
     inputs = _inputs(learner, made)

@@ -1,24 +1,28 @@
-"""What an agent that died leaves behind: nothing to value, whatever it observed and did before."""
+"""Returns of agents that die, leave or are away, where what the others are paid does not depend on it."""
 
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from covering import quick_or_slow
 
 from headway.contracts import Discrete, EnvSpec, Trajectory, TrajectoryLayout
+from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
 from headway_algos.on_policy.critics.estimate import CriticEstimate
+from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
-from headway_algos.recipes.coma import COMAConfig
-from headway_algos.recipes.mappo import MAPPOConfig
+from headway_algos.registry import configure
 
 LIMIT, DEATH, GAMMA = 20, 3, 0.95
 BLIND = EnvSpec("mortal", ("a", "b"), 1, Discrete(2), shared_reward=True, agents_come_and_go=True)
 STATE = replace(BLIND, state_size=1)
 SETTINGS: dict[str, Any] = {"model": ModelConfig((32,)), "gamma": GAMMA, "lr": 5e-3, "lr_end": 0.05}
-MAPPO = MAPPOConfig(**SETTINGS)
-OTHERS, COMA = replace(MAPPO, critic_actions="others"), COMAConfig(**SETTINGS)
+MAPPO = configure("mappo", **SETTINGS)
+IPPO = configure("ippo", **SETTINGS)
+OTHERS, COMA = replace(MAPPO, critic_actions="others"), configure("coma", **SETTINGS)
 CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "mappo": (MAPPO, BLIND),
     "others": (OTHERS, BLIND),
@@ -26,7 +30,7 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "coma": (COMA, BLIND),
     "coma, state": (COMA, STATE),
 }
-every_case = pytest.mark.parametrize(("config", "spec"), CASES.values(), ids=CASES)
+every_case = pytest.mark.parametrize(("config", "spec"), quick_or_slow(CASES, "others, state"))
 
 
 def _mortal(spec: EnvSpec, seed: int) -> Trajectory:
@@ -108,3 +112,131 @@ def test_an_agent_away_at_the_cut_awaits_what_its_own_last_observation_is_worth(
     after = _estimate(learner, made).returns
     assert (after[DEATH - 1, :, 1] != before[DEATH - 1, :, 1]).all()
     np.testing.assert_array_equal(after[..., 0], before[..., 0])
+
+
+PAY = -1.0
+FOREVER = PAY / (1 - GAMMA)
+THREE = EnvSpec(
+    "left",
+    ("a", "b", "c"),
+    1,
+    Discrete(2),
+    groups=("x", "x", "x"),
+    shared_reward=True,
+    agents_come_and_go=True,
+)
+IN_GROUPS = replace(THREE, shared_reward=False, shared_in_groups=True)
+INDIVIDUAL = replace(THREE, shared_reward=False)
+LEAVE = 1
+"""Action by which a and b leave for the rest of the episode."""
+
+
+def _left(
+    spec: EnvSpec, seed: int, steps: int, chance: float = 0.3, limit: int | None = None, copies: int = 8
+) -> Trajectory:
+    """The team is paid PAY per step whatever happens; a and b leave by choice, c stays.
+
+    The episode lasts beyond the trajectory, or is cut every `limit` steps.
+    """
+    draw = np.random.default_rng(seed)
+    made = Trajectory.allocate(TrajectoryLayout(spec, steps, copies))
+    made.rewards[:], made.log_probs[:] = PAY, np.log(0.5)
+    made.actions[:] = draw.random(made.actions.shape) < chance
+    here = np.ones((copies, 3), np.bool_)
+    for t in range(steps):
+        made.alive[t] = made.acting[t] = here
+        leaves = here & (made.actions[t] == LEAVE) & [True, True, False]
+        made.terminated[t], here = leaves, here & ~leaves
+        if limit is not None and (t + 1) % limit == 0:
+            made.truncated[t], made.terminated[t] = here, ~here
+            here = np.ones_like(here)
+    made.alive[-1] = here
+    return made
+
+
+def _away(spec: EnvSpec, seed: int, steps: int) -> Trajectory:
+    """As above for ever, but no agent leaves: each is away for some time now and then, c too."""
+    made = _left(spec, seed, steps, chance=0)
+    made.alive[:] = np.random.default_rng(seed).random(made.alive.shape) < 0.4
+    made.alive[-1, 0] = False
+    made.acting[:] = made.alive[:-1]
+    return made
+
+
+def _with_constant_critic(config: AlgoConfig, spec: EnvSpec, value: float) -> OnPolicyLearner:
+    learner = OnPolicyLearner(replace(config, normalise_values=False), spec, (1,), "cpu")
+    critic = learner.critic
+    assert isinstance(critic, CounterfactualCritic | ValueCritic)
+    for networks in (
+        [critic.networks, critic.target] if isinstance(critic, CounterfactualCritic) else [critic.networks]
+    ):
+        networks.network.weights[-1].data.zero_()
+        networks.network.biases[-1].data.fill_(value)
+    return learner
+
+
+@pytest.mark.parametrize("steps", [3, 32])
+@pytest.mark.parametrize("limit", [None, 8])
+@pytest.mark.parametrize("spec", [THREE, IN_GROUPS], ids=["team", "group"])
+@pytest.mark.parametrize("config", [IPPO, MAPPO, OTHERS, COMA], ids=["ippo", "mappo", "others", "coma"])
+def test_leaving_where_it_changes_nothing_has_no_advantage(
+    config: AlgoConfig, spec: EnvSpec, limit: int | None, steps: int
+) -> None:
+    """Where V is the true value of a pay without end, it is every action's return, however short the
+    rollout."""
+    learner = _with_constant_critic(config, spec, FOREVER)
+    made = _left(spec, 0, steps, limit=limit)
+    assert made.terminated[:, :, :2].any()
+    estimate = _estimate(learner, made)
+    np.testing.assert_allclose(estimate.returns[estimate.present], FOREVER, rtol=1e-6)
+    np.testing.assert_allclose(estimate.advantages[estimate.present], 0, atol=1e-5)
+
+
+@pytest.mark.parametrize("steps", [3, 32])
+@pytest.mark.parametrize("spec", [INDIVIDUAL, THREE], ids=["individual", "team"])
+@pytest.mark.parametrize("config", [IPPO, MAPPO, OTHERS, COMA], ids=["ippo", "mappo", "others", "coma"])
+def test_an_agent_away_as_the_rollout_ends_awaits_as_much_as_when_last_seen(
+    config: AlgoConfig, spec: EnvSpec, steps: int
+) -> None:
+    """A pay without end is worth the same at any length of rollouts."""
+    learner = _with_constant_critic(config, spec, FOREVER)
+    made = _away(spec, 0, steps)
+    estimate = _estimate(learner, made)
+    np.testing.assert_allclose(estimate.returns[estimate.present], FOREVER, rtol=1e-6)
+
+
+@pytest.mark.parametrize("config", [IPPO, OTHERS, COMA], ids=["ippo", "others", "coma"])
+def test_the_return_of_an_agent_that_left_is_what_its_team_is_paid_until_the_end(config: AlgoConfig) -> None:
+    """The episode terminates after LIMIT steps: (1 - gamma^k) / (1 - gamma) of PAY from k steps before."""
+    learner = OnPolicyLearner(replace(config, gae_lambda=1.0), THREE, (1,), "cpu")
+    made = _left(THREE, 0, LIMIT, chance=0.1)
+    made.terminated[-1] = True
+    estimate = _estimate(learner, made)
+    expected = PAY * (1 - GAMMA ** np.arange(LIMIT, 0, -1)) / (1 - GAMMA)
+    for step in range(LIMIT):
+        np.testing.assert_allclose(estimate.returns[step][estimate.present[step]], expected[step], rtol=1e-9)
+
+
+def test_ippo_does_not_learn_to_leave_where_it_changes_nothing() -> None:
+    """If its return ended as it leaves, this would be the way out of a negative pay."""
+    config = replace(IPPO, lr=1e-2, lr_end=1.0, policies="shared", gae_lambda=1.0)
+    learner, chance = OnPolicyLearner(config, THREE, (1,), "cpu"), 0.5
+    for iteration in range(1, 31):
+        made = _left(THREE, iteration, 40, chance, limit=8)
+        made.log_probs[:] = np.log(np.where(made.actions == LEAVE, chance, 1 - chance))
+        learner.update(made, iteration, 0.0)
+        chance = float(learner.behaviour.probabilities(CriticBatch.of_steps(made))[0, 0, 0, LEAVE])
+    assert 0.3 < chance < 0.7
+
+
+def test_the_last_agent_to_leave_does_not_end_the_episode() -> None:
+    """The team is paid on, also where the learner leaves out slots that were never alive."""
+    spec = replace(THREE, agents=tuple("abcde"), groups=())
+    learner = OnPolicyLearner(replace(IPPO, policies="shared", gae_lambda=1.0), spec, (1,), "cpu")
+    made = Trajectory.allocate(TrajectoryLayout(spec, LIMIT, 2))
+    made.rewards[:], made.alive[: DEATH + 1, :, 0] = PAY, True
+    made.acting[:] = made.alive[:-1]
+    made.terminated[DEATH, :, 0] = made.terminated[-1] = True
+    estimate = _estimate(learner, learner._drop_unused_slots(made))
+    expected = PAY * (1 - GAMMA ** np.arange(LIMIT, 0, -1)) / (1 - GAMMA)
+    np.testing.assert_allclose(estimate.returns[: DEATH + 1, 0, 0], expected[: DEATH + 1], rtol=1e-9)

@@ -22,15 +22,22 @@ from headway_algos.networks.mlp import StackedMLP
 from headway_algos.on_policy.updates.kfac import KFAC
 from headway_algos.optim.fisher import flat, unflat
 from headway_algos.optim.kfac_regression import KFACRegression
+from headway_algos.registry import configure
 
 P, B, D, A = 3, 24, 3, 3
 DOUBLE = torch.float64
 DISCRETE = EnvSpec("made", ("only",), D, Discrete(A), has_action_mask=True)
 BOX = EnvSpec("made", ("only",), D, Box((-1.0,) * A, (1.0,) * A))
-CONFIG = AlgoConfig(
-    update="kfac", model=ModelConfig(hidden=(5, 4), actor_gain=1.0), precision="float64", piece_samples=30,
-    lr=0.5, kl_bound=1e-3, entropy_coeff=0.2,
-)  # fmt: skip
+CONFIG = configure(
+    "custom",
+    update="kfac",
+    model=ModelConfig(hidden=(5, 4), actor_gain=1.0),
+    precision="float64",
+    piece_samples=30,
+    lr=0.5,
+    kl_bound=1e-3,
+    entropy_coeff=0.2,
+)
 every_space = pytest.mark.parametrize("spec", [DISCRETE, BOX], ids=["discrete", "box"])
 
 
@@ -292,10 +299,10 @@ class Naive:
 @pytest.mark.parametrize(
     "changes",
     [
-        {},
-        {"kfac_length": "factors"},
+        pytest.param({}, marks=pytest.mark.slow),
+        pytest.param({"kfac_length": "factors"}, marks=pytest.mark.slow),
         {"kfac_momentum": 0.4, "kfac_every": 2, "kfac_decay": 0.3},
-        {"kl_bound": 1e9, "lr": 0.02},
+        pytest.param({"kl_bound": 1e9, "lr": 0.02}, marks=pytest.mark.slow),
     ],
     ids=["exact", "factors", "momentum, now and then", "learning rate"],
 )
@@ -324,7 +331,7 @@ def test_steps_equal_those_of_whole_matrices_and_loops_over_rows(
 
 
 @every_space
-@pytest.mark.parametrize("bound", [1e-6, 1e-2])
+@pytest.mark.parametrize("bound", [pytest.param(1e-6, marks=pytest.mark.slow), 1e-2])
 def test_the_kl_divergence_equals_the_prediction_of_the_exact_length(spec: EnvSpec, bound: float) -> None:
     """Without the damping's share; to second order, so more closely with a tighter bound."""
     config = replace(CONFIG, kl_bound=bound, lr=1e9)
@@ -407,7 +414,7 @@ def test_other_networks_are_refused_in_one_line() -> None:
         KFAC(update.actor, CONFIG, Layout(Grouping.of("shared", BOX), P, torch.device("cpu"), DOUBLE))
     assert "\n" not in str(caught.value)
     with pytest.raises(HeadwayError, match="K-FAC takes multilayer perceptrons"):
-        KFACRegression(nn.Linear(2, 2), CONFIG)
+        KFACRegression(nn.Linear(2, 2), CONFIG, 0.1, 0.1)
 
 
 def _regression(
@@ -416,10 +423,10 @@ def _regression(
     """A critic, its inputs (P, B, D) and targets (P, B)."""
     random = torch.Generator().manual_seed(3)
     network = StackedMLP(range(P), 1, "test", (D, hidden, 1), "tanh", 1.0, DOUBLE)
-    config = AlgoConfig(critic_update="kfac", critic_lr=1.0, critic_kl_bound=bound, kfac_damping=1e-14)
+    config = configure("custom", critic_update="kfac", kfac_damping=1e-14)
     rows = torch.randn(P, B, D, generator=random, dtype=DOUBLE)
     return (
-        KFACRegression(network, config),
+        KFACRegression(network, config, 1.0, bound),
         network,
         rows,
         torch.randn(P, B, generator=random, dtype=DOUBLE),

@@ -20,15 +20,22 @@ from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.trpo import TRPO
 from headway_algos.optim.fisher import flat, unflat
+from headway_algos.registry import configure
 
 P, B, D, A = 4, 30, 3, 3
 DOUBLE = torch.float64
 DISCRETE = EnvSpec("made", ("only",), D, Discrete(A), has_action_mask=True)
 BOX = EnvSpec("made", ("only",), D, Box((-1.0,) * A, (1.0,) * A))
-CONFIG = AlgoConfig(
-    update="trpo", model=ModelConfig(hidden=(4,), actor_gain=1.0), precision="float64", piece_samples=32,
-    kl_bound=1e-3, entropy_coeff=0.2, cg_iterations=60,
-)  # fmt: skip
+CONFIG = configure(
+    "custom",
+    update="trpo",
+    model=ModelConfig(hidden=(4,), actor_gain=1.0),
+    precision="float64",
+    piece_samples=32,
+    kl_bound=1e-3,
+    entropy_coeff=0.2,
+    cg_iterations=60,
+)
 every_space = pytest.mark.parametrize("spec", [DISCRETE, BOX], ids=["discrete", "box"])
 
 

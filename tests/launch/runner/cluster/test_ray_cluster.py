@@ -23,7 +23,7 @@ from headway.store.index import RunIndex, RunRow
 from headway.store.parquet_log import TABLES, read_rows
 from headway_launch.commands.main import run
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
-from headway_launch.runner.jobs import CoreShares, gpus_of, share_cores
+from headway_launch.runner.cores import CoreShares, gpus_of, share_cores
 
 needs_ray = pytest.mark.skipif(
     find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
@@ -150,7 +150,9 @@ def test_a_sweep_places_runs_on_the_cluster_and_a_lost_one_continues(
         _, shown = process.communicate(timeout=2 * PATIENCE_S)
         assert process.returncode == 0, shown
     assert (
-        shown.count("its training process was lost (its worker process has died); it continues elsewhere")
+        shown.count(
+            "its training process was lost (its worker process has died); restarted from its last checkpoint"
+        )
         == 1
     )
     assert not any(child.is_running() for child in children)
@@ -286,7 +288,8 @@ def test_a_run_placed_on_the_cluster_requests_at_most_the_cpus_of_a_node(
 ) -> None:
     from headway_launch.experiments.compose import compose
     from headway_launch.runner.cluster.ray_training import Placement
-    from headway_launch.runner.jobs import plan_jobs, workers_of
+    from headway_launch.runner.cores import workers_of
+    from headway_launch.runner.jobs import plan_jobs
 
     bare = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3", "algo=ippo", "seed=0..9", "backend=ray"]
     composed = compose([*bare, "rollout.copies=2", "rollout.block=2", *words])

@@ -31,20 +31,20 @@ from spying import SpyConfig, make_spy
 from headway.rollout.workers.process_workers import process_collector
 from headway.rollout.plan import RolloutPlan
 from headway_algos.acting.mlp import MLPActingPolicy
-from headway_algos.recipes.ippo import IPPOConfig
+from headway_algos.registry import configure
 
 config = SpyConfig(sys.argv[2])
 spec = make_spy(config, 1).spec
-policy = MLPActingPolicy.of(IPPOConfig(), spec)
+policy = MLPActingPolicy.of(configure("ippo"), spec)
 plan = RolloutPlan(make_spy, (), config, spec, policy, (0,), 8, 512, 4)
 parameters = {name: np.zeros(shape, dtype) for name, (shape, dtype) in policy.parameter_shapes(1).items()}
 for attempt in ("cold", "warm"):
     collector = process_collector(plan, plan.shards(2), print)
     collector.begin()
     collector.collect(1, parameters)
-    resident = [psutil.Process(process_id).memory_info().rss for process_id in collector.process_ids()]
+    own = [psutil.Process(process_id).memory_full_info().uss for process_id in collector.process_ids()]
     collector.close()
-print(json.dumps(resident))
+print(json.dumps(own))
 """
 
 _HEAVY_MAIN = """
@@ -97,7 +97,8 @@ def test_a_worker_is_light(tmp_path: Path) -> None:
     assert "headway" in imported
     assert "psutil" not in imported  # which the parent imports: the report is that of a worker
     assert not imported & HEAVY
-    assert max(json.loads(done.stdout)) < 100 * MEBIBYTE
+    # What is not shared with the fork server, where numba and the kernels are imported once.
+    assert max(json.loads(done.stdout)) < 60 * MEBIBYTE
 
 
 @pytest.mark.parametrize("environment", ["the library's", "its own"])

@@ -205,6 +205,7 @@ def test_an_unreachable_server_is_a_one_line_error_at_the_start(
     from headway_launch.commands.main import run
 
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("headway_launch.runner.runner.compile_kernels_of", lambda experiments: None)
     uri = f"http://127.0.0.1:{free_port()}"
     assert run(["run", "env=trivial", "algo=ippo", "energy=off", f"store.tracking_uri={uri}"]) == 2
     printed = capsys.readouterr().err

@@ -1,2 +1,4 @@
-"""Import of scenarios from a GTFS feed (gtfs.org/documentation/schedule/reference): the feed's timetable,
-with synthetic passengers and fitted spreads of travel times."""
+"""Import of scenarios from a GTFS feed (gtfs.org/documentation/schedule/reference).
+
+The timetable is the feed's; passengers are synthetic and spreads of travel times fitted.
+"""

@@ -37,8 +37,11 @@ class Calls:
 
 
 def places(feed: Feed) -> tuple[pd.DataFrame, dict[str, int]]:
-    """Return the stops with coordinates, with stops of one parent station merged: the frame (stop_id, name,
-    lat, lon), and the row of each stop_id. Raises HeadwayError for impossible coordinates."""
+    """Return the stops with coordinates, with stops of one parent station merged.
+
+    The results are the frame of stops (stop_id, name, lat, lon) and the row of each stop_id. Raises
+    HeadwayError for impossible coordinates.
+    """
     stops = feed["stops"].drop_duplicates("stop_id")
     latitudes = numbers("stops", "stop_lat", stops["stop_lat"])
     longitudes = numbers("stops", "stop_lon", stops["stop_lon"])
@@ -47,7 +50,7 @@ def places(feed: Feed) -> tuple[pd.DataFrame, dict[str, int]]:
     parent = stops["parent_station"].where(stops["parent_station"].isin(stops.index))
     own = parent.fillna(pd.Series(stops.index, stops.index))
     known = ~(lat.reindex(own).isna() | lon.reindex(own).isna()).to_numpy()
-    own = own.where(known, pd.Series(stops.index, stops.index))  # stations without coordinates merge no stops
+    own = own.where(known, pd.Series(stops.index, stops.index))  # a station needs coordinates to merge stops
     usable = ~(lat.reindex(own).isna() | lon.reindex(own).isna()).to_numpy()
     names = pd.unique(own[usable])
     frame = pd.DataFrame(
@@ -68,8 +71,10 @@ def places(feed: Feed) -> tuple[pd.DataFrame, dict[str, int]]:
 def clean_calls(
     feed: Feed, trips: pd.DataFrame, stops: pd.DataFrame, rows: dict[str, int]
 ) -> tuple[Calls, Counter[str]]:
-    """Return the calls of `trips` (trip_id), and the number of irregularities of each kind. Raises
-    HeadwayError if no trip has two calls with times."""
+    """Return the calls of `trips` (trip_id), and the number of irregularities of each kind.
+
+    Raises HeadwayError if no trip has two calls with times.
+    """
     counted: Counter[str] = Counter()
     frame = _unwrap_midnight(_drop_unplaced_calls(_stop_time_rows(feed, trips, rows), counted), counted)
     frame = _drop_incomplete_trips(frame, len(trips), counted)
@@ -96,8 +101,10 @@ def clean_calls(
 
 
 def _stop_time_rows(feed: Feed, trips: pd.DataFrame, rows: dict[str, int]) -> pd.DataFrame:
-    """Return the rows of stop_times of `trips`, sorted by trip and sequence: trip, stop (-1: without
-    coordinates), sequence, time, departure, shape."""
+    """Return the rows of stop_times of `trips`, sorted by trip and sequence.
+
+    Columns: trip, stop (-1: without coordinates), sequence, time, departure, shape.
+    """
     times = feed["stop_times"]
     which = pd.Index(trips["trip_id"]).get_indexer(pd.Index(times["trip_id"]))
     times = times[which >= 0]
@@ -135,8 +142,10 @@ def _drop_unplaced_calls(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataF
 
 
 def _unwrap_midnight(frame: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
-    """Add 24 h where a trip's times fall by over 12 h, until they rise by as much again: after 23:58 some
-    feeds write 00:10 for 24:10."""
+    """Add 24 h where a trip's times fall by over 12 h, until they rise by over 12 h again.
+
+    After 23:58 some feeds write 00:10 for 24:10.
+    """
     timed = frame[frame["time"].notna()]
     step = timed["time"].diff().where(timed["trip"].diff() == 0, 0.0)
     midnights = (step < -0.5 * _DAY_S).astype(np.int64) - (step > 0.5 * _DAY_S)
@@ -176,8 +185,10 @@ def _sum_along_trip(leg: Floats, begins: NDArray[np.bool_]) -> Floats:
 
 
 def _scale_to_metres(shape: Floats, along: Floats, begins: NDArray[np.bool_]) -> Floats:
-    """Return shape_dist_traveled since each trip's first call (Q,), in the feed's unit, scaled to the trip's
-    straight-line metres; NaN for trips where it does not increase overall."""
+    """Return shape_dist_traveled since each trip's first call (Q,), scaled to straight-line metres.
+
+    The feed may use any unit. NaN for trips where the distance does not increase overall.
+    """
     trip = np.cumsum(begins) - 1
     last = np.append(np.flatnonzero(begins)[1:], len(begins)) - 1
     since = shape - shape[begins][trip]
@@ -197,8 +208,10 @@ def _has_complete_shape(
 
 
 def _decreasing(time: Floats, trip: Integers) -> NDArray[np.bool_]:
-    """Return which times lie before an earlier time of their trip or after its last time. The first and last
-    times of a trip are kept."""
+    """Return which times lie before an earlier time of their trip or after its last time.
+
+    The first and last times of a trip are kept.
+    """
     shifted = np.where(np.isnan(time), -np.inf, time) + trip * 1e7
     highest = np.maximum.accumulate(shifted)
     last = np.append(np.diff(trip) > 0, True)
@@ -210,8 +223,11 @@ def _decreasing(time: Floats, trip: Integers) -> NDArray[np.bool_]:
 def _repeated(
     time: Floats, known: NDArray[np.bool_], trip: Integers, ends: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which known times repeat the previous known time of their trip. A trip's last time is kept:
-    instead, the calls before it with the same time are marked, other than the trip's first."""
+    """Return which known times repeat the previous known time of their trip.
+
+    A trip's last time is kept: instead, the calls before it with the same time are marked, other than the
+    trip's first.
+    """
     where = np.flatnonzero(known)
     repeats = np.append(False, (np.diff(time[where]) <= 0) & (np.diff(trip[where]) == 0))
     same = np.zeros(len(time), np.bool_)

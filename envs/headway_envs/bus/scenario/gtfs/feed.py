@@ -44,8 +44,10 @@ _OPTIONAL = {
 
 @dataclass(frozen=True)
 class Feed:
-    """Data frames of text by file, with blanks as missing values and all columns of REQUIRED and _OPTIONAL. A
-    missing file is a frame without rows."""
+    """Data frames of text by file, with blanks as missing values and all columns of REQUIRED and _OPTIONAL.
+
+    A missing file is a frame without rows.
+    """
 
     name: str
     """Name of the folder or zip file."""
@@ -56,8 +58,10 @@ class Feed:
 
 
 def read_feed(path: Path) -> Feed:
-    """Read a feed. Raises HeadwayError naming the file, and the column, that is missing or cannot be
-    read."""
+    """Read a feed.
+
+    Raises HeadwayError naming the file, and the column, that is missing or cannot be read.
+    """
     if path.is_dir():
         inside = _locate_files(path, [file.relative_to(path).as_posix() for file in path.rglob("*.txt")])
         frames = {
@@ -83,8 +87,10 @@ def read_feed(path: Path) -> Feed:
 
 
 def seconds(file: str, column: str, texts: "pd.Series[str]") -> Floats:
-    """Return texts HH:MM:SS, also past 24 h, as seconds after midnight; NaN for blanks. Raises HeadwayError
-    that names the line of any other text."""
+    """Return texts HH:MM:SS, also past 24 h, as seconds after midnight; NaN for blanks.
+
+    Raises HeadwayError that names the line of any other text.
+    """
     codes, values = pd.factorize(texts)
     parsed = np.full(len(values) + 1, np.nan)  # the last one for code -1, a blank
     for place, text in enumerate(values):
@@ -112,7 +118,7 @@ def numbers(file: str, column: str, texts: "pd.Series[str]") -> Floats:
 def _locate_files(feed: Path, files: Iterable[str]) -> dict[str, str]:
     """Return the path of each known file, in any folder of the feed.
 
-    Raises HeadwayError if a file occurs twice, because the identifiers of two feeds would be confused.
+    Raises HeadwayError if a file occurs twice, because the identifiers of two feeds would clash.
     """
     found: dict[str, str] = {}
     for file in sorted(files):
@@ -128,8 +134,10 @@ def _locate_files(feed: Path, files: Iterable[str]) -> dict[str, str]:
 
 
 def _read_frame(name: str, content: bytes | None) -> pd.DataFrame:
-    """Return the known columns of a file, with surrounding blanks removed. Raises HeadwayError for missing
-    columns and unreadable files."""
+    """Return the known columns of a file, with surrounding blanks removed.
+
+    Raises HeadwayError for missing columns and unreadable files.
+    """
     needed, wanted = REQUIRED.get(name, ()), (*REQUIRED.get(name, ()), *_OPTIONAL.get(name, ()))
     if content is None:
         if needed:
@@ -163,8 +171,7 @@ def _read_frame(name: str, content: bytes | None) -> pd.DataFrame:
 
 
 def _strip(column: pa.ChunkedArray) -> pd.Series:
-    """Return a column without surrounding blanks; blank texts become missing values, and no other texts
-    do."""
+    """Return a column without surrounding blanks; only blank texts become missing values."""
     # A few distinct texts repeat often: strip each only once.
     encoded = column.combine_chunks().dictionary_encode()
     if isinstance(encoded, pa.ChunkedArray):

@@ -49,14 +49,16 @@ class GtfsOptions:
     route_types: Sequence[str] = BUS_TYPES
     """Route types to import."""
     boardings_per_trip: float = BOARDINGS_PER_TRIP["weekday"]
-    """Mean boardings per trip on a weekday; those on Sundays are in the fitted proportion."""
+    """Mean boardings per trip on a weekday; Sundays have the fitted share of them."""
     seed: int = 0
     """Seed of the random weights of stops in the demand."""
 
 
 def import_gtfs(path: Path, options: GtfsOptions) -> Tables:
-    """Return the tables of a feed. Raises HeadwayError naming file, line and column of what cannot be
-    read."""
+    """Return the tables of a feed.
+
+    Raises HeadwayError naming file, line and column of what cannot be read.
+    """
     feed = read_feed(path)
     counted: Counter[str] = Counter()
     trips = _chosen_trips(feed, options)
@@ -94,7 +96,7 @@ def _chosen_trips(feed: Feed, options: GtfsOptions) -> pd.DataFrame:
     agency = routes["agency_id"].fillna("")
     agencies = agency.groupby(names).transform("nunique")
     routes["line"] = names.where(agencies < 2, agency + ":" + names)
-    # Feeds without direction_id often give each direction a route of its own.
+    # Feeds without direction_id often have a separate route per direction.
     routes["order"] = routes.groupby("line").cumcount()
     chosen = routes[routes["route_type"].isin(list(options.route_types))]
     if chosen.empty:
@@ -117,8 +119,10 @@ def _chosen_trips(feed: Feed, options: GtfsOptions) -> pd.DataFrame:
 
 
 def _patterns(trips: pd.DataFrame, calls: Calls) -> Integers:
-    """Return a pattern number per trip (trips,): one per stop sequence of a line and direction, numbered by
-    line; -1 for trips without calls."""
+    """Return a pattern number per trip (trips,), one per stop sequence of a line and direction.
+
+    Patterns are numbered by line; -1 for trips without calls.
+    """
     bounds = [*calls.first.tolist(), len(calls.trip)]
     line, way = trips["line"].to_numpy(), trips["way"].to_numpy()
     sequences: dict[tuple[str, str, bytes], list[int]] = {}
@@ -193,8 +197,10 @@ def _day_trips(
     days: dict[str, tuple[dt.date, set[str]]],
     counted: Counter[str],
 ) -> pd.DataFrame:
-    """Return one row per departure of a trip on a day type: daytype, trip (row), shift (of its times relative
-    to stop_times, s)."""
+    """Return one row per departure of a trip on a day type: daytype, trip (row), shift.
+
+    `shift` is the difference of its times to stop_times, s.
+    """
     has_calls = trips["pattern"].to_numpy() >= 0
     first = np.full(len(trips), np.nan)
     first[calls.trip[calls.first]] = calls.time[calls.first]
@@ -239,8 +245,11 @@ def _frequencies(feed: Feed, trips: pd.DataFrame, first: Floats) -> pd.DataFrame
 def _trip_table(
     day_trips: pd.DataFrame, trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame, counted: Counter[str]
 ) -> pd.DataFrame:
-    """Return the table trips. Vehicles follow block_id if every trip of the day has one; else, and for blocks
-    with overlapping trips, they are chained at terminals."""
+    """Return the table trips.
+
+    Vehicles follow block_id if every trip of the day has one; else, and for blocks with overlapping trips,
+    they are chained at terminals.
+    """
     begin = calls.first
     last = np.append(begin[1:], len(calls.trip)) - 1
     terminal = terminals(stops, np.concatenate((calls.stop[begin], calls.stop[last])))
@@ -265,7 +274,7 @@ def _trip_table(
     )
     parts = []
     for _, part in table.groupby("daytype", sort=False):
-        # A trip that frequencies.txt repeats cannot be in one block with itself.
+        # Repetitions of a trip by frequencies.txt have the same block_id, but need not share a vehicle.
         blocked = part["block"].notna().all() and not day_trips["trip"].iloc[part.index].duplicated().any()
         counted["days with vehicles by block_id"] += int(blocked)
         vehicle = _vehicles_by_block(part, counted) if blocked else chain_at_terminals(part)

@@ -20,10 +20,10 @@ DAYS_OF = {"weekday": (0, 1, 2, 3, 4), "sunday": (6,)}
 def chosen_days(
     feed: Feed, trips: pd.DataFrame, wanted: Mapping[str, dt.date | None]
 ) -> dict[str, tuple[dt.date, set[str]]]:
-    """Return, for each day type with service, a date and the services on it: the wanted date, or the earliest
-    of the dates with the most trips.
+    """Return, for each day type with service, a date and the services on it.
 
-    Raises HeadwayError if a wanted date has no trips or another day type, or if there is no service at all.
+    The date is the wanted one, or the earliest of the dates with the most trips. Raises HeadwayError if a
+    wanted date has no trips or another day type, or if there is no service at all.
     """
     dates, services, runs = _service(feed)
     counts = trips["service_id"].value_counts().reindex(services).fillna(0.0).to_numpy(np.float64)

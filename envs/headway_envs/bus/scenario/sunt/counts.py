@@ -15,17 +15,16 @@ _PRIOR_LOAD = 30.0
 """Weight, in passengers, of the fitted alighting shares by tenth when they are mixed with a stop's own
 share."""
 _MIN_RATE = 0.05
-"""Smallest boardings per call, used where none were observed, when a stop's count is divided among its
-lines."""
+"""Minimum boardings per call when a stop's count is divided among its lines, also for unobserved lines."""
 LINE_STOP = ["line", "dir", "stop_id"]
 """Columns that identify a stop of a line and direction."""
 
 
 def demand_from_records(calls: pd.DataFrame, days: Sequence[Day]) -> tuple[pd.DataFrame, float]:
-    """Return rows of demand (pattern, seq0, hour, calls, board) for a timetable's calls, and the number of
-    boardings without a call in that hour.
+    """Return demand rows for a timetable's calls from trip records, and the number of unassigned boardings.
 
-    Boardings are means over `days` at each line, direction, stop and hour.
+    Columns: pattern, seq0, hour, calls, board. Boardings are means over `days` at each line, direction, stop
+    and hour; they are unassigned if the timetable has no call there in that hour.
     """
     every = pd.concat([day.calls for day in days])
     wanted = every.assign(hour=every["time"] // 3600).groupby([*LINE_STOP, "hour"])["board"].sum() / len(days)
@@ -35,11 +34,11 @@ def demand_from_records(calls: pd.DataFrame, days: Sequence[Day]) -> tuple[pd.Da
 def demand_from_stop_counts(
     calls: pd.DataFrame, nodes: pd.DataFrame, rates: "pd.Series[float]"
 ) -> tuple[pd.DataFrame, float]:
-    """Return rows of demand (pattern, seq0, hour, calls, board) for a timetable's calls, and the number of
-    boardings without a call in that hour.
+    """Return demand rows for a timetable's calls from stop counts, and the number of unassigned boardings.
 
-    Boardings at each stop and hour are divided among its calls in proportion to `rates`: mean boardings per
-    call, by line, dir and stop_id, of other days. Unknown lines take the stop's mean.
+    Columns: pattern, seq0, hour, calls, board. Boardings at each stop and hour are divided among its calls in
+    proportion to `rates`: mean boardings per call, by line, dir and stop_id, of other days. Unknown lines
+    take the stop's mean. Boardings are unassigned if the timetable has no call there in that hour.
     """
     weight = None
     if len(rates):
@@ -53,8 +52,10 @@ def demand_from_stop_counts(
 def _split_over_calls(
     calls: pd.DataFrame, wanted: pd.DataFrame, keys: list[str], weight: NDArray[np.float64] | None
 ) -> tuple[pd.DataFrame, float]:
-    """Divide the boardings of each key among its calls in proportion to their weight. Return the rows of
-    demand, and the number of boardings without a call."""
+    """Divide the boardings of each key among its calls in proportion to their weight.
+
+    Return the rows of demand, and the number of boardings without a call.
+    """
     rows = calls[["pattern", "seq0", *LINE_STOP, "hour"]].assign(weight=1.0 if weight is None else weight)
     rows = rows.groupby(["pattern", "seq0", *LINE_STOP, "hour"], as_index=False)["weight"].agg(
         ["sum", "size"]

@@ -113,8 +113,10 @@ def _dates(days: Sequence[Day]) -> str:
 
 
 def _select_lines(tables: Tables, lines: Sequence[str]) -> Tables:
-    """Return the part of the tables that belongs to the named lines. Boardings have been divided among all
-    lines before."""
+    """Return the part of the tables that belongs to the named lines.
+
+    Boardings have been divided among all lines before.
+    """
     if not lines:
         return tables
     unknown = sorted(set(lines) - set(tables.patterns["line"]))
@@ -135,8 +137,10 @@ def _select_lines(tables: Tables, lines: Sequence[str]) -> Tables:
 
 
 def _timetable_days(days: Sequence[Day], wanted: Mapping[DayType, dt.date | None]) -> dict[DayType, Day]:
-    """Return the day of each day type whose trips make up the timetable. Raises HeadwayError if there is
-    none."""
+    """Return the day of each day type whose trips make up the timetable.
+
+    Raises HeadwayError if there is none.
+    """
     found: dict[DayType, Day] = {}
     for kind, date in wanted.items():
         own = [day for day in days if day.day_type == kind and day.trips]
@@ -165,10 +169,10 @@ def _drop_unplaced_calls(day: Day, places: pd.DataFrame, counted: Counter[str]) 
 def _network(
     timetable: Mapping[DayType, Day], places: pd.DataFrame, counted: Counter[str]
 ) -> tuple[dict[str, pd.DataFrame], dict[DayType, pd.DataFrame]]:
-    """Return the tables stops, patterns, pattern_stops and links, and the calls of the timetable's days with
-    pattern, seq0 and hour.
+    """Return the tables stops, patterns, pattern_stops and links, and the calls of the timetable's days.
 
-    Patterns follow the recorded calls, because the dataset's files of stop sequences are older.
+    Calls have the columns pattern, seq0 and hour. Patterns follow the recorded calls, because the dataset's
+    files of stop sequences are older.
     """
     every = pd.concat([day.calls for day in timetable.values()], ignore_index=True)
     stops = every.groupby([*PATTERN_KEYS, "seq"])["stop_id"]

@@ -1,5 +1,7 @@
-"""Raw files of SUNT: trip records by day, counts by stop, and coordinates of stops. Irregularities are
-corrected and counted."""
+"""Raw files of SUNT: trip records by day, counts by stop, and coordinates of stops.
+
+Irregularities are corrected and counted.
+"""
 
 import datetime as dt
 import re
@@ -23,8 +25,8 @@ HOLIDAYS = (
 FARES_MISSING = 1.0
 """Boardings per trip below which a day's fares are taken to be missing (2024-08-26: 0.03)."""
 ALIGHTINGS_MISSING = 0.9
-"""Alightings per boarding below which alightings are taken not to be expanded as boardings are (until April
-2024)."""
+"""Alightings per boarding below which alightings are taken for unexpanded counts, unlike boardings (until
+April 2024)."""
 UNPHYSICAL_LOAD = 150.0
 """Largest plausible load of a bus, passengers."""
 TRIP_KEYS = ("vehicle", "trip_id", "start_trip")
@@ -39,15 +41,18 @@ _NODES = re.compile(r"node_temporal_features_(\d{2})-(\d{2})-(\d{4})\.parquet")
 
 @dataclass(frozen=True)
 class Day:
-    """Calls of one day: line, reg, dir, seq (from 1), stop_id, trip (number), vehicle, time (s after midnight
-    of the service day), board, alight, load_before; one trip after the other, in driving order."""
+    """Calls of one day, one trip after the other, in driving order.
+
+    Columns of `calls`: line, reg, dir, seq (from 1), stop_id, trip (number), vehicle, time (s after midnight
+    of the service day), board, alight, load_before.
+    """
 
     date: dt.date
     calls: pd.DataFrame
     fares: bool
     """Whether boardings were counted."""
     alightings: bool
-    """Whether alightings were expanded as boardings were."""
+    """Whether alightings were expanded in the same way as boardings."""
 
     @property
     def day_type(self) -> DayType:
@@ -67,8 +72,10 @@ def day_type(date: dt.date) -> DayType:
 
 
 def find_days(raw: Path) -> dict[dt.date, Path]:
-    """Return the files od-YYYY-MM-DD.parquet anywhere below `raw`, by date. Raises HeadwayError if there are
-    none."""
+    """Return the files od-YYYY-MM-DD.parquet anywhere below `raw`, by date.
+
+    Raises HeadwayError if there are none.
+    """
     if not raw.is_dir():
         raise HeadwayError(f"RAW: {raw} is not a folder; give the one that holds SUNT's files od-*.parquet")
     found = {
@@ -84,8 +91,10 @@ def find_days(raw: Path) -> dict[dt.date, Path]:
 
 
 def read_day(file: Path, date: dt.date, counted: Counter[str]) -> Day:
-    """Read, correct and check the trip records of one day. Raises HeadwayError for missing columns and for
-    files without a usable trip."""
+    """Read, correct and check the trip records of one day.
+
+    Raises HeadwayError for missing columns and for files without a usable trip.
+    """
     frame = _parquet(file, _COLUMNS)
     frame = frame.astype(dict.fromkeys(("route_short_name", "direction_id", "vehicle", "trip_id"), "str"))
     midnight = pd.Timestamp(date)
@@ -147,11 +156,10 @@ def read_day(file: Path, date: dt.date, counted: Counter[str]) -> Day:
 
 
 def read_node_boardings(raw: Path, counted: Counter[str]) -> dict[DayType, pd.DataFrame]:
-    """Return per day type the mean boardings per day by stop_id and hour (columns stop_id, hour, board), with
-    the number of files in `attrs['days']`.
+    """Return, per day type, the mean boardings per day by stop_id and hour.
 
-    These are raw counts, whereas boardings of trip records are expanded (2024-03-03: by 1.49). Bins begin at
-    05:00.
+    Columns: stop_id, hour, board; `attrs['days']` is the number of files. These are raw counts, whereas
+    boardings of trip records are expanded (2024-03-03: by 1.49). Bins begin at 05:00.
     """
     parts: dict[DayType, list[pd.DataFrame]] = {}
     for file in sorted(raw.rglob("node_temporal_features_*.parquet")):
@@ -181,8 +189,11 @@ def read_node_boardings(raw: Path, counted: Counter[str]) -> dict[DayType, pd.Da
 
 
 def read_places(raw: Path) -> pd.DataFrame:
-    """Return the coordinates of stops: lat, lon by stop_id, from stop sequences, counts by stop and any
-    stops.txt. Raises HeadwayError if there are no such files."""
+    """Return the coordinates of stops: lat, lon by stop_id.
+
+    They are read from stop sequences, counts by stop and any stops.txt. Raises HeadwayError if there are no
+    such files.
+    """
     sequences = sorted(raw.rglob("gtfs_bus_topique*.parquet"))
     nodes = sorted(raw.rglob("node_temporal_features_*.parquet"))[:1]
     parts = [_parquet(file, ("stop_id", "lat", "lon")) for file in sequences]

@@ -44,8 +44,7 @@ def link_times(
 def _drives(
     calls: pd.DataFrame, ends: pd.MultiIndex, metres: NDArray[np.float64], counted: Counter[str]
 ) -> pd.DataFrame:
-    """Return link, hour and duration (s) of each drive from one stop to the next, without implausible
-    ones."""
+    """Return link, hour and duration (s) of each plausible drive from one stop to the next."""
     stop, time = calls["stop_id"].to_numpy(), calls["time"].to_numpy()
     following = (np.diff(calls["trip"]) == 0) & (np.diff(calls["seq"]) == 1)
     pairs = pd.MultiIndex.from_arrays([stop[:-1][following], stop[1:][following]])

@@ -336,6 +336,7 @@ def test_the_real_feed_of_the_brt_is_complete_and_runs() -> None:
     assert len(network.slot_line) == 21
 
 
+@pytest.mark.slow
 def test_a_city_is_read_in_seconds(city_feed: Path) -> None:
     began = time.process_time()
     tables = imported(city_feed)

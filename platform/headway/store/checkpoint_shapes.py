@@ -8,11 +8,13 @@ from headway.contracts.acting_policy import ActingPolicy, Parameters
 from headway.contracts.errors import HeadwayError
 
 
-def require_fitting(
+def require_same_shapes(
     parameters: Parameters, policy: ActingPolicy, replicas: int, environment: str, run: Path
 ) -> None:
-    """Raise HeadwayError if a checkpoint's arrays for `replicas` replicas, from the folder `run`, do not have
-    the shapes of `policy`."""
+    """Raise HeadwayError if a checkpoint's arrays do not have the shapes of `policy`.
+
+    `parameters` are those of `replicas` replicas, from the run folder `run`.
+    """
     # A run is loaded with its stored configuration: only a change of the environment explains other shapes.
     for name, (shape, _) in policy.parameter_shapes(replicas).items():
         if name not in parameters or np.shape(parameters[name]) != shape:

@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from headway_envs.numba_setup import drop_stale_cache
+from headway.contracts.numba_setup import drop_stale_cache
 
 
 def test_machine_code_is_removed_when_a_source_changes(tmp_path: Path) -> None:

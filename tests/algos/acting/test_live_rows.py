@@ -1,6 +1,5 @@
-"""With mostly empty slots, live agents act as if all were computed, and empty slots hold zeros."""
+"""An agent's action does not depend on who else is alive, on the block or on the stack, to the last bit."""
 
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -11,15 +10,16 @@ from numpy.typing import NDArray
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations
 from headway_algos.acting.exploration import EpsilonGreedyPolicy, ExploringStack, OrnsteinUhlenbeckPolicy
 from headway_algos.acting.gru import GRUActingPolicy
-from headway_algos.acting.live_agents import MIN_SLOTS_PER_AGENT, ActingResult
 from headway_algos.acting.mlp import MLPActingPolicy
-from headway_algos.config import AlgoConfig, ModelConfig
+from headway_algos.config import ModelConfig
+from headway_algos.registry import configure
 
 SLOTS, COPIES, SIZE = 32, 3, 5
 MODEL = ModelConfig(hidden=(9, 7))
 Precision = Literal["float32", "float64"]
 Policies = Literal["independent", "shared"]
 Policy = MLPActingPolicy | GRUActingPolicy | EpsilonGreedyPolicy | OrnsteinUhlenbeckPolicy
+Result = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]
 KINDS = ("discrete", "box", "gated discrete", "gated box", "epsilon-greedy", "ornstein-uhlenbeck")
 
 
@@ -29,9 +29,9 @@ def _spec(space: ActionSpace) -> EnvSpec:
     return EnvSpec("made", names, SIZE, space, has_action_mask=masked, agents_come_and_go=True)
 
 
-def _policy(kind: str, precision: Precision = "float64", policies: Policies = "shared") -> Policy:
+def _policy(kind: str, precision: Precision, policies: Policies = "shared") -> Policy:
     space = Discrete(4) if kind.endswith(("discrete", "greedy")) else Box((-1.0, -2.0), (1.0, 2.0))
-    config = AlgoConfig(policies=policies, model=MODEL, precision=precision)
+    config = configure("custom", policies=policies, model=MODEL, precision=precision)
     flat = MLPActingPolicy.of(config, _spec(space))
     if kind.startswith("gated"):
         return GRUActingPolicy(flat, 6)
@@ -55,11 +55,12 @@ def _observations(
     policy: Policy, alive: NDArray[np.bool_]
 ) -> tuple[Observations, NDArray[Any], NDArray[Any] | None]:
     """Observations with NaN in empty slots, noise, and hidden states."""
-    draw, spec = np.random.default_rng(7), _flat(policy).spec
-    copies, masks, hidden = len(alive), None, None
+    draw, copies, masks, hidden = np.random.default_rng(7), len(alive), None, None
     observations = draw.normal(0, 2, (copies, SLOTS, SIZE)).astype(np.float32)
     observations[~alive] = np.nan
-    if isinstance(spec.action_space, Discrete):
+    stack = policy.stack if isinstance(policy, EpsilonGreedyPolicy | OrnsteinUhlenbeckPolicy) else policy
+    flat = stack if isinstance(stack, MLPActingPolicy) else stack.flat
+    if isinstance(flat.spec.action_space, Discrete):
         masks = draw.random((copies, SLOTS, 4)) < 0.6
         masks[..., 2] |= ~masks.any(axis=-1)
         masks[~alive] = False
@@ -69,23 +70,22 @@ def _observations(
     return Observations(observations, np.zeros((copies, 0), np.float32), alive, masks), noise, hidden
 
 
-def _flat(policy: Policy) -> MLPActingPolicy:
-    if isinstance(policy, EpsilonGreedyPolicy | OrnsteinUhlenbeckPolicy):
-        return policy.stack.flat
-    return policy.flat if isinstance(policy, GRUActingPolicy) else policy
-
-
 def _act(
     policy: Policy,
     parameters: dict[str, NDArray[Any]],
     observed: Observations,
     hidden: NDArray[Any] | None,
     noise: NDArray[Any] | None,
-) -> ActingResult:
+) -> Result:
     if isinstance(policy, GRUActingPolicy | OrnsteinUhlenbeckPolicy):
         assert hidden is not None
         return policy.act_from(parameters, observed, hidden, noise)
     return *policy.act(parameters, observed, noise), None
+
+
+def _part(observed: Observations, copies: slice, alive: NDArray[np.bool_]) -> Observations:
+    masks = None if observed.action_masks is None else observed.action_masks[copies]
+    return Observations(observed.observations[copies], observed.states[copies], alive, masks)
 
 
 def _alive(copies: int, count: int) -> NDArray[np.bool_]:
@@ -96,32 +96,37 @@ def _alive(copies: int, count: int) -> NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "precision", "greedy", "count"),
-    pairwise(KINDS, ["float32", "float64"], [False, True], [0, 1, COPIES * SLOTS // MIN_SLOTS_PER_AGENT]),
+    ("kind", "precision", "policies", "greedy", "count"),
+    pairwise(KINDS, ["float32", "float64"], ["shared", "independent"], [False, True], [0, 1, 40, 96]),
 )
-def test_live_agents_act_as_if_every_slot_were_computed(
-    kind: str, precision: Precision, greedy: bool, count: int
+def test_an_agent_acts_as_if_alone_in_its_copy(
+    kind: str, precision: Precision, policies: Policies, greedy: bool, count: int
 ) -> None:
-    policy, alive = _policy(kind, precision), _alive(COPIES, count)
+    policy, alive = _policy(kind, precision, policies), _alive(COPIES, count)
     parameters = _parameters(policy, 1)
     observed, drawn, hidden = _observations(policy, alive)
     before = None if hidden is None else hidden.copy()
     noise = None if greedy else drawn
-    found = _act(policy, parameters, observed, hidden, noise)
-    expected = policy.act_on_all_slots(parameters, observed, hidden, noise)
-    tolerance = 1e-5 if precision == "float32" else 1e-12
-    for mine, whole in zip(found[:2], expected[:2], strict=True):
-        assert (mine.dtype, mine.shape) == (whole.dtype, whole.shape)
-        np.testing.assert_allclose(mine[alive], whole[alive], rtol=tolerance, atol=tolerance)
-        assert not mine[~alive].any()
-        assert np.isfinite(mine).all()
+    together = _act(policy, parameters, observed, hidden, noise)
+    for copy, agent in np.argwhere(alive)[::5]:
+        only, block = np.zeros((1, SLOTS), np.bool_), slice(copy, copy + 1)
+        only[0, agent] = True
+        alone = _act(
+            policy,
+            parameters,
+            _part(observed, block, only),
+            None if hidden is None else hidden[block],
+            None if noise is None else noise[block],
+        )
+        for mine, all_of_them in zip(alone, together, strict=True):
+            if mine is not None and all_of_them is not None:
+                np.testing.assert_array_equal(mine[0, agent], all_of_them[copy, agent])
+    assert all(np.isfinite(part).all() for part in together if part is not None)
     if hidden is not None:
-        assert found[2] is not None
-        assert expected[2] is not None
+        assert together[2] is not None
         np.testing.assert_array_equal(hidden, before)
-        np.testing.assert_array_equal(found[2][~alive], hidden[~alive])
-        np.testing.assert_allclose(found[2][alive], expected[2][alive], rtol=tolerance, atol=tolerance)
-        assert found[2].dtype == hidden.dtype
+        np.testing.assert_array_equal(together[2][~alive], hidden[~alive])
+        assert together[2].dtype == hidden.dtype
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -135,38 +140,11 @@ def test_a_replica_in_a_stack_acts_bit_for_bit_as_alone(kind: str) -> None:
     together = _act(policy, parameters, observed, hidden, noise)
     for r in range(len(counts)):
         block = slice(r * COPIES, (r + 1) * COPIES)
-        one = Observations(
-            observed.observations[block],
-            observed.states[block],
-            observed.alive[block],
-            None if observed.action_masks is None else observed.action_masks[block],
-        )
         mine = {name: array[r : r + 1] for name, array in parameters.items()}
+        one = _part(observed, block, observed.alive[block])
         alone = _act(policy, mine, one, None if hidden is None else hidden[block], noise[block])
         for part, whole in zip(alone, together, strict=True):
             if part is None or whole is None:
                 assert part is whole
             else:
                 np.testing.assert_array_equal(part, whole[block])
-
-
-@pytest.mark.parametrize("count", [COPIES * SLOTS // MIN_SLOTS_PER_AGENT + 1, COPIES * SLOTS])
-def test_all_slots_are_computed_if_few_are_empty(count: int) -> None:
-    policy = _policy("discrete", "float32")
-    observed, noise, _ = _observations(policy, _alive(COPIES, count))
-    parameters = _parameters(policy, 1)
-    found = _act(policy, parameters, observed, None, noise)
-    for mine, whole in zip(
-        found[:2], policy.act_on_all_slots(parameters, observed, None, noise)[:2], strict=True
-    ):
-        np.testing.assert_array_equal(mine, whole)
-
-
-def test_empty_slots_are_skipped_only_with_many_slots_and_one_shared_policy() -> None:
-    shared = _policy("discrete")
-    assert isinstance(shared, MLPActingPolicy)
-    assert shared.single_agent is not None
-    assert replace(shared, spec=replace(shared.spec, agents_come_and_go=False)).single_agent is None
-    assert replace(shared, spec=replace(shared.spec, agents=shared.spec.agents[1:])).single_agent is None
-    assert _policy("discrete", policies="independent").single_agent is None
-    assert _policy("ornstein-uhlenbeck", policies="independent").single_agent is None

@@ -1,0 +1,373 @@
+"""Minibatch steps of Adam down the losses of policies and critics, for stacks of perceptrons.
+
+The equations stand at the torch equivalents, against which the kernels are tested: `PPOLoss` and `A2CLoss` in
+`on_policy.updates.losses`, `squared_error` in `on_policy.critics.return_regression`. The networks of a stack
+are trained one after another, each on its own rows, so that a network's result does not depend on its stack
+and its parameters, moments and data stay in the cache for several minibatches.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts.numba_setup import compiled_with
+from headway_algos.kernels.adam import Adam, step_network
+from headway_algos.kernels.compiled import HALF, ONE, ZERO, Floats, compiled
+from headway_algos.kernels.perceptron import ROWS, Perceptrons, backward, forward
+from headway_algos.kernels.products import TILE
+
+# exp(x) = 2^k exp(r), |r| <= log(2) / 2, and exp(r) = 1 + r + r^2 E(r): the coefficients of Cephes' expf.
+_E = tuple(
+    np.float32(c)
+    for c in (
+        5.0000001201e-1,
+        1.6666665459e-1,
+        4.1665795894e-2,
+        8.3334519073e-3,
+        1.3981999507e-3,
+        1.9875691500e-4,
+    )
+)
+_LOG2_E, _LN2_HIGH, _LN2_LOW = np.float32(1.44269504), np.float32(0.693359375), np.float32(-2.12194440e-4)
+_LEAST, _MOST = np.float32(-87), np.float32(88)
+
+
+def _exp_by_parts(row: Floats, bits: NDArray[np.int32], powers: Floats, n: int) -> None:
+    """Replace x by exp(x), 0 below -87 and exp(88) above; `powers` (ROWS,) are the same memory as `bits`."""
+    for t in range(n):
+        x = row[t]
+        below = x < _LEAST
+        x = _MOST if x > _MOST else x
+        k = np.floor(x * _LOG2_E + HALF)
+        r = x - k * _LN2_HIGH
+        r = r - k * _LN2_LOW
+        e = ((((_E[5] * r + _E[4]) * r + _E[3]) * r + _E[2]) * r + _E[1]) * r + _E[0]
+        row[t] = e * r * r + r + ONE
+        bits[t] = 0 if below else (np.int32(k) + 127) << 23
+    for t in range(n):
+        row[t] = ZERO if bits[t] == 0 else row[t] * powers[t]
+
+
+# Sums keep their order here: with another, what is left after log(2) k would lose its digits.
+exp = compiled_with(_exp_by_parts, _nrt=False, fastmath={"contract"})
+
+
+class Minibatches(NamedTuple):
+    """S minibatches for each of P networks, of at most W rows."""
+
+    rows: NDArray[np.int64]
+    """(S, P, W): indices of rows (P B), padded."""
+    sizes: NDArray[np.int64]
+    """(S, P): number of rows; a network takes no step with 0."""
+
+
+class PolicyData(NamedTuple):
+    """Experience of P policies for the losses of PPO and A2C."""
+
+    observations: Floats
+    """(P B, D)"""
+    log_probs: Floats
+    """(P B,), when the actions were sampled."""
+    advantages: Floats
+    """(P B,)"""
+    old_outputs: Floats
+    """(P B, A): means, or probabilities, of the policies that acted; empty without a KL penalty."""
+    kl_coeff: Floats
+    """(P,)"""
+    clip: float
+    """PPO's; below 0: the loss is A2C's."""
+    entropy_coeff: float
+
+
+class DiscreteActions(NamedTuple):
+    """Discrete actions."""
+
+    actions: NDArray[np.int64]
+    """(P B,)"""
+    masks: NDArray[np.bool_]
+    """(P B, A); empty if all actions are allowed."""
+
+
+class BoxActions(NamedTuple):
+    """Box actions of Gaussian policies."""
+
+    actions: Floats
+    """(P B, A)"""
+    old_log_std: Floats
+    """(P, A)"""
+    log_std_at: int
+    """Offset of the log standard deviations among the values of a network."""
+
+
+class Targets(NamedTuple):
+    """Data of the regression of P critics."""
+
+    inputs: Floats
+    """(P B, D)"""
+    taken: NDArray[np.int64]
+    """(P B,): the trained output of each row; empty if there is only one."""
+    targets: Floats
+    """(P B,)"""
+    bound: float
+    """Squared errors above it count as this constant."""
+
+
+@compiled
+def _begin(net: Perceptrons, p: int) -> None:
+    """Set the gradient of network p to 0."""
+    for i in range(net.gradient.shape[1]):
+        net.gradient[p, i] = ZERO
+
+
+@compiled
+def _part(rows: int) -> int:
+    """Return how many rows of a minibatch pass through a network together: equal parts of whole tiles."""
+    parts = (rows + ROWS - 1) // ROWS
+    return ((rows + parts - 1) // parts + TILE - 1) // TILE * TILE
+
+
+@compiled
+def _surrogate_derivatives(
+    net: Perceptrons, data: PolicyData, share: np.float32, n: int, reported: Floats
+) -> None:
+    """Replace the advantages, `net.scratch[1]`, by d loss / d log-probability.
+
+    PPO adds the approximate KL divergence and the share of clipped ratios to `reported` (3,), first and
+    third. `net.scratch[0]` are the log ratios, `net.scratch[2]` is overwritten.
+    """
+    log_ratios, advantages, ratios = net.scratch[0], net.scratch[1], net.scratch[2]
+    if data.clip < 0:
+        for t in range(n):
+            advantages[t] *= -share
+        return
+    low, high = np.float32(1 - data.clip), np.float32(1 + data.clip)
+    for t in range(n):
+        ratios[t] = log_ratios[t]
+    exp(ratios, net.exponents, net.powers, n)
+    kl, clipped = ZERO, ZERO
+    for t in range(n):
+        ratio = ratios[t]
+        kl += ratio - ONE - log_ratios[t]
+        clipped += ONE if ratio < low or ratio > high else ZERO
+        bounded = low if ratio < low else ratio
+        bounded = high if bounded > high else bounded
+        gained = ratio * advantages[t]
+        advantages[t] = ZERO if gained > bounded * advantages[t] else -share * gained
+    reported[0] += share * kl
+    reported[2] += share * clipped
+
+
+@compiled
+def _learn_gaussian(
+    net: Perceptrons, p: int, places: NDArray[np.int64], share: np.float32, data: PolicyData, box: BoxActions,
+    reported: Floats,
+) -> None:  # fmt: skip
+    """Add the gradient of network p on the rows `places` (n,), each of weight `share`."""
+    n, size, half_log_2pi = len(places), net.layers[-1, 1], np.float32(0.5 * math.log(2 * math.pi))
+    top, last = net.layers[:, 0].sum(), net.errors[len(net.layers) % 2]
+    log_ratios, pulls = net.scratch[0], net.scratch[1]
+    log_std, log_std_gradient = net.values[p, box.log_std_at :], net.gradient[p, box.log_std_at :]
+    forward(net, p, data.observations, places)
+    for t in range(n):
+        log_ratios[t], pulls[t] = -data.log_probs[places[t]], data.advantages[places[t]]
+    for a in range(size):
+        mean, standard = net.activations[top + a], last[a]
+        inverse, constant = np.float32(math.exp(-log_std[a])), log_std[a] + half_log_2pi
+        for t in range(n):
+            standard[t] = (box.actions[places[t], a] - mean[t]) * inverse
+            log_ratios[t] -= HALF * standard[t] * standard[t] + constant
+        reported[1] += share * n * (constant + HALF)
+    _surrogate_derivatives(net, data, share, n, reported)
+    for a in range(size):
+        mean, standard = net.activations[top + a], last[a]
+        inverse, of_log_std = np.float32(math.exp(-log_std[a])), -np.float32(data.entropy_coeff) * share * n
+        for t in range(n):
+            of_log_std += pulls[t] * (standard[t] * standard[t] - ONE)
+            standard[t] *= pulls[t] * inverse
+        if len(data.old_outputs) > 0:
+            ratio = np.float32(math.exp(2 * (box.old_log_std[p, a] - log_std[a])))
+            weight = data.kl_coeff[p] * share
+            for t in range(n):
+                shift = (mean[t] - data.old_outputs[places[t], a]) * inverse
+                standard[t] += weight * shift * inverse
+                of_log_std += weight * (ONE - ratio - shift * shift)
+        log_std_gradient[a] += of_log_std
+    backward(net, p, n)
+
+
+_FORBIDDEN = np.float32(np.finfo(np.float32).min / 4)
+
+
+@compiled
+def _normalise(
+    logits: Floats,
+    probabilities: Floats,
+    scale: Floats,
+    bits: NDArray[np.int32],
+    powers: Floats,
+    size: int,
+    n: int,
+) -> None:
+    """Turn logits (A, n) into log-probabilities, and write the probabilities to `probabilities`."""
+    for t in range(n):
+        scale[t] = logits[0, t]
+    for a in range(1, size):
+        for t in range(n):
+            scale[t] = logits[a, t] if logits[a, t] > scale[t] else scale[t]
+    for a in range(size):
+        for t in range(n):
+            logits[a, t] -= scale[t]
+            probabilities[a, t] = logits[a, t]
+        exp(probabilities[a], bits, powers, n)
+    for t in range(n):
+        scale[t] = probabilities[0, t]
+    for a in range(1, size):
+        for t in range(n):
+            scale[t] += probabilities[a, t]
+    for a in range(size):
+        for t in range(n):
+            probabilities[a, t] /= scale[t]
+    for t in range(n):
+        scale[t] = math.log(scale[t])
+    for a in range(size):
+        for t in range(n):
+            logits[a, t] -= scale[t]
+
+
+@compiled
+def _learn_categorical(
+    net: Perceptrons, p: int, places: NDArray[np.int64], share: np.float32, data: PolicyData,
+    discrete: DiscreteActions, reported: Floats,
+) -> None:  # fmt: skip
+    """Add the gradient of network p on the rows `places` (n,), each of weight `share`."""
+    n, size, actions = len(places), net.layers[-1, 1], discrete.actions
+    top, probabilities = net.layers[:, 0].sum(), net.errors[len(net.layers) % 2]
+    logits = net.activations[top:]
+    log_ratios, pulls, scales, entropies = net.scratch[0], net.scratch[1], net.scratch[3], net.scratch[4]
+    forward(net, p, data.observations, places)
+    if len(discrete.masks) > 0:
+        for t in range(n):
+            for a in range(size):
+                if not discrete.masks[places[t], a]:
+                    logits[a, t] = _FORBIDDEN
+    _normalise(logits, probabilities, scales, net.exponents, net.powers, size, n)
+    for t in range(n):
+        r = places[t]
+        log_ratios[t], pulls[t] = logits[actions[r], t] - data.log_probs[r], data.advantages[r]
+        entropies[t] = ZERO
+    for a in range(size):
+        for t in range(n):
+            entropies[t] -= probabilities[a, t] * logits[a, t]
+    _surrogate_derivatives(net, data, share, n, reported)
+    total = ZERO
+    for t in range(n):
+        total += entropies[t]
+    reported[1] += share * total
+    penalised, bonus = len(data.old_outputs) > 0, np.float32(data.entropy_coeff) * share
+    weight = data.kl_coeff[p] * share if penalised else ZERO
+    for a in range(size):
+        for t in range(n):
+            probabilities[a, t] *= bonus * (logits[a, t] + entropies[t]) - pulls[t] + weight
+    for t in range(n):
+        probabilities[actions[places[t]], t] += pulls[t]
+        if penalised:
+            for a in range(size):
+                probabilities[a, t] -= weight * data.old_outputs[places[t], a]
+    backward(net, p, n)
+
+
+@compiled
+def _learn_returns(
+    net: Perceptrons, p: int, places: NDArray[np.int64], share: np.float32, data: Targets, reported: Floats
+) -> None:
+    """Add the gradient of network p on the rows `places` (n,), each of weight `share`."""
+    n, chosen, bound, differences = len(places), len(data.taken) > 0, np.float32(data.bound), net.scratch[0]
+    top, last = net.layers[:, 0].sum(), net.errors[len(net.layers) % 2]
+    forward(net, p, data.inputs, places)
+    for t in range(n):
+        output = data.taken[places[t]] if chosen else 0
+        differences[t] = net.activations[top + output, t] - data.targets[places[t]]
+    total = ZERO
+    for t in range(n):
+        error = differences[t] * differences[t]
+        total += bound if error > bound else error
+        differences[t] *= ZERO if error > bound else share + share
+    reported[0] += share * total
+    for a in range(net.layers[-1, 1]):
+        for t in range(n):
+            last[a, t] = ZERO
+    for t in range(n):
+        last[data.taken[places[t]] if chosen else 0, t] = differences[t]
+    backward(net, p, n)
+
+
+# The three loops below are alike. Numba cannot cache one loop that takes `_learn_...` as an argument or
+# encloses it: every process would compile it anew.
+@compiled
+def descend_gaussian(
+    net: Perceptrons,
+    adam: Adam,
+    batches: Minibatches,
+    data: PolicyData,
+    box: BoxActions,
+    reported: Floats,
+    norms: Floats,
+) -> None:
+    """Step P Gaussian policies; add up the approximate KL divergence, the entropy and the share of clipped
+    ratios of each minibatch in `reported` (P, 3), the norms of the gradients in `norms` (P,)."""
+    for p in range(len(net.values)):
+        for s in range(len(batches.rows)):
+            n = batches.sizes[s, p]
+            if n == 0:
+                continue
+            _begin(net, p)
+            part, share = _part(n), np.float32(1 / n)
+            for start in range(0, n, part):
+                places = batches.rows[s, p, start : min(start + part, n)]
+                _learn_gaussian(net, p, places, share, data, box, reported[p])
+            norms[p] += step_network(net.values[p], net.gradient[p], adam, p)
+
+
+@compiled
+def descend_categorical(
+    net: Perceptrons,
+    adam: Adam,
+    batches: Minibatches,
+    data: PolicyData,
+    discrete: DiscreteActions,
+    reported: Floats,
+    norms: Floats,
+) -> None:
+    """Step P categorical policies; `reported` and `norms` as in `descend_gaussian`."""
+    for p in range(len(net.values)):
+        for s in range(len(batches.rows)):
+            n = batches.sizes[s, p]
+            if n == 0:
+                continue
+            _begin(net, p)
+            part, share = _part(n), np.float32(1 / n)
+            for start in range(0, n, part):
+                places = batches.rows[s, p, start : min(start + part, n)]
+                _learn_categorical(net, p, places, share, data, discrete, reported[p])
+            norms[p] += step_network(net.values[p], net.gradient[p], adam, p)
+
+
+@compiled
+def descend_returns(
+    net: Perceptrons, adam: Adam, batches: Minibatches, data: Targets, reported: Floats, norms: Floats
+) -> None:
+    """Step P critics; add up the mean bounded squared error of each minibatch in `reported` (P, 1), the norms
+    of the gradients in `norms` (P,)."""
+    for p in range(len(net.values)):
+        for s in range(len(batches.rows)):
+            n = batches.sizes[s, p]
+            if n == 0:
+                continue
+            _begin(net, p)
+            part, share = _part(n), np.float32(1 / n)
+            for start in range(0, n, part):
+                places = batches.rows[s, p, start : min(start + part, n)]
+                _learn_returns(net, p, places, share, data, reported[p])
+            norms[p] += step_network(net.values[p], net.gradient[p], adam, p)

@@ -1,0 +1,216 @@
+"""Forward and backward passes of multilayer perceptrons in float32, features first."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway_algos.kernels.compiled import ONE, ZERO, Floats, compiled
+from headway_algos.kernels.products import LANES, add_outer, multiply
+
+ROWS = 5 * 48
+"""Maximum number of rows passed through a network at a time, so that they stay in the cache; a multiple of
+`TILE` for any number of lanes, because parts are made of whole tiles."""
+SCRATCH = 5
+"""Intermediate results per row that the losses keep."""
+
+
+LINEAR, TANH, RELU = 0, 1, 2
+ACTIVATIONS = {"linear": LINEAR, "tanh": TANH, "relu": RELU}
+
+
+class Perceptrons(NamedTuple):
+    """P stacked perceptrons, with memory for the passes of one of them."""
+
+    values: Floats
+    """(P, V): all parameters."""
+    gradient: Floats
+    """(P, V): their gradients."""
+    layers: NDArray[np.int64]
+    """(L, 4): per layer, number of inputs, number of outputs, offsets of weights and of biases."""
+    relu: bool
+    """Hidden layers are rectified, instead of passed through tanh."""
+    activations: Floats
+    """(F, ROWS): the inputs of each layer, then the outputs."""
+    errors: Floats
+    """(2, W, ROWS): d loss / d activations of two layers that follow each other."""
+    scratch: Floats
+    """(SCRATCH, ROWS)"""
+    exponents: NDArray[np.int32]
+    """(ROWS,): scratch for `exp`, the exponent bits of floating-point numbers."""
+    powers: Floats
+    """(ROWS,): the same bytes as float32."""
+
+    @property
+    def outputs(self) -> int:
+        """Return the number of outputs."""
+        return int(self.layers[-1, 1])
+
+
+def perceptrons(values: Floats, gradient: Floats, layers: NDArray[np.int64], relu: bool) -> Perceptrons:
+    """Return perceptrons with the memory that they need."""
+    activations = np.empty((layers[0, 0] + layers[:, 1].sum(), ROWS), np.float32)
+    errors = np.empty((2, layers[:, 1].max(), ROWS), np.float32)
+    exponents = np.empty(ROWS, np.int32)
+    scratch = np.empty((SCRATCH, ROWS), np.float32)
+    return Perceptrons(
+        values, gradient, layers, relu, activations, errors, scratch, exponents, exponents.view(np.float32)
+    )
+
+
+# tanh(x) / x = P(x^2) / Q(x^2), a minimax fit of relative error 1.2e-8 up to where tanh is 1 in float32.
+_END = np.float32(8.5)
+_P = tuple(
+    np.float32(c)
+    for c in (1, 0.13413232564926147, 3.5340096801519394e-3, 2.1250756617519073e-5, 1.4268818127050054e-8)
+)
+_Q = tuple(
+    np.float32(c)
+    for c in (1, 0.4674655497074127, 2.6022685691714287e-2, 3.348836617078632e-4, 8.144958201228292e-7)
+)
+
+
+@compiled
+def tanh(row: Floats, bias: np.float32, n: int) -> None:
+    """Replace x by tanh(x + bias)."""
+    for t in range(n):
+        x = row[t] + bias
+        # Written so that NaN stays NaN.
+        a = abs(x)
+        a = _END if a > _END else a
+        s = a * a
+        p = (((_P[4] * s + _P[3]) * s + _P[2]) * s + _P[1]) * s + _P[0]
+        q = (((_Q[4] * s + _Q[3]) * s + _Q[2]) * s + _Q[1]) * s + _Q[0]
+        y = a * p / q
+        row[t] = math.copysign(ONE if y > ONE else y, x)
+
+
+@compiled
+def activate(y: Floats, biases: Floats, activation: int, n: int) -> None:
+    """Replace the first n columns of y (O, .) by f(y + b), with `biases` (O,) and f by `activation`."""
+    for o in range(len(y)):
+        y0, bias = y[o], biases[o]
+        if activation == TANH:
+            tanh(y0, bias, n)
+        elif activation == RELU:
+            for t in range(n):
+                y0[t] = ZERO if y0[t] + bias < ZERO else y0[t] + bias
+        else:
+            for t in range(n):
+                y0[t] += bias
+
+
+@compiled
+def padded(n: int) -> int:
+    """Return n rounded up to a multiple of LANES."""
+    return (n + LANES - 1) // LANES * LANES
+
+
+@compiled
+def numbers(layer: NDArray[np.int64]) -> tuple[int, int, int, int]:
+    """Return a layer's number of inputs, of outputs, and its offsets of weights and of biases."""
+    return layer[0], layer[1], layer[2], layer[3]
+
+
+@compiled
+def forward(net: Perceptrons, p: int, rows: Floats, index: NDArray[np.int64]) -> None:
+    """Evaluate network p on the rows `index` (n,) of `rows` (., D), padded with 0 to a multiple of LANES."""
+    values, n, top = net.values[p], padded(len(index)), 0
+    for t in range(len(index)):
+        row = rows[index[t]]
+        for i in range(net.layers[0, 0]):
+            net.activations[i, t] = row[i]
+    for i in range(net.layers[0, 0]):
+        for t in range(len(index), n):
+            net.activations[i, t] = ZERO
+    for layer in range(len(net.layers)):
+        ins, outs, weights, biases = numbers(net.layers[layer])
+        x = net.activations[top : top + ins]
+        top += ins
+        y = net.activations[top : top + outs]
+        multiply(values, weights, ins, 1, outs, ins, x, y, n)
+        hidden = RELU if net.relu else TANH
+        activate(y, values[biases:], hidden if layer < len(net.layers) - 1 else LINEAR, n)
+
+
+@compiled
+def backward(net: Perceptrons, p: int, n: int) -> None:
+    """Add a loss's gradient on the n rows that passed through network p last.
+
+    `net.errors[L % 2]` holds d loss / d outputs, of L layers.
+    """
+    values, gradient, layers = net.values[p], net.gradient[p], net.layers
+    for a in range(layers[-1, 1]):
+        for t in range(n, padded(n)):
+            net.errors[len(layers) % 2, a, t] = ZERO
+    n, top = padded(n), layers[:, 0].sum()
+    for layer in range(len(layers) - 1, -1, -1):
+        ins, outs, weights, biases = numbers(layers[layer])
+        top -= ins
+        x, error = net.activations[top : top + ins], net.errors[(layer + 1) % 2]
+        add_outer(x, error, ins, outs, gradient, weights, n)
+        for o in range(outs):
+            total = ZERO
+            for t in range(n):
+                total += error[o, t]
+            gradient[biases + o] += total
+        if layer == 0:
+            break
+        before = net.errors[layer % 2]
+        multiply(values, weights, 1, ins, ins, outs, error, before, n)
+        for i in range(ins):
+            g0, x0 = before[i], x[i]
+            if net.relu:
+                for t in range(n):
+                    g0[t] = g0[t] if x0[t] > ZERO else ZERO
+            else:
+                for t in range(n):
+                    g0[t] *= ONE - x0[t] * x0[t]
+
+
+@compiled
+def layer(
+    weight: Floats, bias: Floats, inputs: Floats, counts: NDArray[np.int64], activation: int, outputs: Floats
+) -> None:
+    """Write activation(W x + b) of P networks to `outputs` (P, outs, L), given `inputs` (P, ins, L), float32.
+
+    `weight` is (P, outs x ins), `bias` (P, outs). The first `counts` (P,) lanes are rows; those after the
+    next multiple of LANES become 0.
+    """
+    outs, ins = outputs.shape[1], inputs.shape[1]
+    for p in range(len(weight)):
+        n = padded(counts[p])
+        multiply(weight[p], 0, ins, 1, outs, ins, inputs[p], outputs[p], n)
+        activate(outputs[p], bias[p], activation, n)
+        for o in range(outs):
+            outputs[p, o, n:] = ZERO
+
+
+@compiled
+def activate_stack(y: Floats, biases: Floats, activation: int) -> None:
+    """Replace y (P, O, B) by f(y + b), with `biases` (P, O) and f by `activation`."""
+    for p in range(len(y)):
+        activate(y[p], biases[p], activation, y.shape[2])
+
+
+def evaluate(layers: Sequence[tuple[Floats, Floats]], rows: Floats, activation: str) -> Floats:
+    """Return the outputs (P, O, B) of stacked networks for rows (P, B, D).
+
+    `layers` are weights (P, out, in) and biases (P, out, 1). A row's result does not depend on the others.
+    """
+    stack, batch, size = rows.shape
+    flat = [(weight.reshape(stack, -1), bias.reshape(stack, -1)) for weight, bias in layers]
+    outputs = np.empty((stack, layers[-1][0].shape[1], batch), np.float32)
+    for start in range(0, batch, ROWS):
+        part = rows[:, start : start + ROWS]
+        x = np.zeros((stack, size, padded(part.shape[1])), np.float32)
+        x[:, :, : part.shape[1]] = part.swapaxes(1, 2)
+        counts = np.full(stack, part.shape[1])
+        for i, (weight, bias) in enumerate(flat):
+            y = np.empty((stack, bias.shape[1], x.shape[2]), np.float32)
+            layer(weight, bias, x, counts, ACTIVATIONS[activation] if i < len(layers) - 1 else LINEAR, y)
+            x = y
+        outputs[:, :, start : start + ROWS] = x[:, :, : part.shape[1]]
+    return outputs

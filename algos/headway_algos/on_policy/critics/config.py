@@ -1,0 +1,76 @@
+"""Hyper-parameters of critics and of their training. Importing them imports no torch."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from headway.contracts.checks import require
+from headway_algos.config import AlgoConfig
+from headway_algos.optim.config import ETA_MAX, AdamConfig, KroneckerConfig
+
+
+@dataclass(frozen=True)
+class CriticConfig(AlgoConfig):
+    """A critic trained by regression on returns."""
+
+    critic_update: str = "adam"
+    gae_lambda: float = 0.95
+    """Lambda of generalised advantage estimation."""
+    critic_lr: float | None = None
+    """Learning rate of the critic; null: `lr`."""
+    epochs: int = 5
+    """Passes of the critic over an iteration's batch; the actor takes one step on the whole batch."""
+    minibatches: int = 8
+    """Minibatches per pass of the critic; 1: the whole batch."""
+    value_clip: float | None = None
+    """Bound on the critic's squared error, like RLlib's vf_clip_param, in units of squared return; with
+    `normalise_values`, in units of the returns' variance. null: none."""
+    normalise_values: bool = True
+    """Normalise returns by running statistics before the critic is trained on them."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(0 <= self.gae_lambda <= 1, "gae_lambda must lie in [0, 1]")
+        require(self.critic_lr is None or self.critic_lr > 0, "critic_lr must be above 0, or null")
+        require(self.epochs >= 1, "epochs must be at least 1")
+        require(self.minibatches >= 1, "minibatches must be at least 1")
+        require(self.value_clip is None or self.value_clip > 0, "value_clip must be above 0, or null")
+
+
+@dataclass(frozen=True)
+class CentralConfig(CriticConfig):
+    """V(s) of the global state."""
+
+    critic_actions: Literal["none", "others"] = "none"
+    """`others`: the critic also sees the actions of the other agents, V(s, u^-a)."""
+
+
+@dataclass(frozen=True)
+class CounterfactualConfig(CriticConfig):
+    """Q(s, u) for each of the agent's own actions."""
+
+    target_every: int = 4
+    """Iterations between updates of the critic's target network; 1: after every iteration."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.target_every >= 1, "target_every must be at least 1")
+
+
+@dataclass(frozen=True)
+class AdamCriticConfig(AdamConfig):
+    """Minibatch steps of Adam."""
+
+
+@dataclass(frozen=True)
+class KFACCriticConfig(KroneckerConfig):
+    """Natural gradients with Kronecker factors of the Gauss-Newton matrix."""
+
+    critic_lr: float | None = ETA_MAX
+    """Maximum step size of the critic along the natural gradient (eta_max); null: `lr`."""
+    critic_kl_bound: float = 0.3
+    """K-FAC's bound for a step of the critic, on half the mean squared change of its values (the KL
+    divergence of Gaussians with standard deviation 1). In normalised units with `normalise_values`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.critic_kl_bound > 0, "critic_kl_bound must be above 0")

@@ -1,0 +1,81 @@
+"""Hyper-parameters of updates by gradient steps, and of all updates. Importing them imports no torch."""
+
+from dataclasses import dataclass
+
+from headway.contracts.checks import require
+from headway_algos.config import AlgoConfig
+from headway_algos.optim.config import AdamConfig
+
+
+@dataclass(frozen=True)
+class EntropyConfig(AlgoConfig):
+    """An update whose objective includes the policy's entropy."""
+
+    entropy_coeff: float = 0.01
+    """Weight of the policy's entropy in the objective (for TRPO: in the surrogate); 0: none."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.entropy_coeff >= 0, "entropy_coeff must be at least 0")
+
+
+@dataclass(frozen=True)
+class StepConfig(EntropyConfig, AdamConfig):
+    """One gradient step of the actor on the whole batch, such as A2C's."""
+
+
+@dataclass(frozen=True)
+class OneStepConfig(EntropyConfig):
+    """One step of policies per iteration, and of the critic: A2C's and K-FAC's."""
+
+    epochs: int = 1
+    """Passes of the critic over an iteration's batch; the actor takes one step on the whole batch."""
+    minibatches: int = 1
+    """Minibatches per pass of the critic; 1: the whole batch."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.epochs >= 1, "epochs must be at least 1")
+        require(self.minibatches >= 1, "minibatches must be at least 1")
+
+
+@dataclass(frozen=True)
+class A2CConfig(OneStepConfig, StepConfig):
+    """Advantage actor-critic."""
+
+
+@dataclass(frozen=True)
+class GradientConfig(StepConfig):
+    """Epochs of minibatch gradient steps, such as PPO's."""
+
+    epochs: int = 5
+    """Passes over an iteration's batch, by actor and critic."""
+    minibatches: int = 8
+    """Minibatches per pass, of actor and critic; 1: the whole batch."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.epochs >= 1, "epochs must be at least 1")
+        require(self.minibatches >= 1, "minibatches must be at least 1")
+
+
+@dataclass(frozen=True)
+class PPOConfig(GradientConfig):
+    """Proximal policy optimisation."""
+
+    clip: float = 0.2
+    """PPO's clip range of the probability ratio."""
+    kl_coeff: float = 0.0
+    """Initial coefficient of PPO's adaptive KL penalty; 0: none."""
+    kl_target: float = 0.01
+    """Target KL divergence of PPO's adaptive penalty (`kl_coeff`)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.clip > 0, "clip must be above 0")
+        require(self.kl_coeff >= 0, "kl_coeff must be at least 0")
+        require(self.kl_target > 0, "kl_target must be above 0")
+        require(
+            self.kl_coeff > 0 or self.kl_target == type(self).kl_target,
+            "kl_target applies to the penalty: set kl_coeff too, or leave kl_target out",
+        )

@@ -1,0 +1,44 @@
+"""Named compositions of critic, update and order. Imports no torch."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from headway.contracts import Contributor, EnvSpec, Lazy, Learner
+from headway_algos.config import AlgoConfig
+
+LEARNER = Lazy("headway_algos.on_policy.make_learner:make_learner")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """An on-policy algorithm: the components that it fixes, and its defaults for their keys."""
+
+    name: str
+    summary: str
+    """One line for `headway list algos`."""
+    source: str
+    """Paper, with its arXiv number."""
+    critic: str | None = None
+    """Name of the critic; None: any."""
+    update: str | None = None
+    """Name of the policy update; None: any."""
+    order: str | None = None
+    """Name of the order; None: any."""
+    critic_update: str | None = None
+    """Name of the critic's optimiser; None: any."""
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    """Defaults that differ from those of the components' records."""
+    fixed: Mapping[str, Any] = field(default_factory=dict)
+    """Fixed values of components' keys, which users cannot set."""
+    config: type[AlgoConfig] = AlgoConfig
+    """Record of the keys that belong to no component."""
+    rollout: Mapping[str, int] | None = None
+    """Defaults of keys of `rollout`; None: those of the update."""
+    learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner] = LEARNER
+    contributor: Callable[[Any, EnvSpec, Sequence[int]], Contributor] | None = None
+    """See `headway.contracts.AlgoEntry`."""
+    preload: tuple[str, ...] = ()
+
+    def __hash__(self) -> int:
+        return hash(self.name)

@@ -1,0 +1,26 @@
+"""Means per seed, and the advice when training diverges."""
+
+import numpy as np
+import pytest
+import torch
+
+from headway_algos.batches.policy_stack import mean_per_replica, remedy
+from headway_algos.registry import configure
+
+
+def test_networks_that_took_no_step_do_not_count_in_the_mean() -> None:
+    values = torch.tensor([1.0, 3.0, torch.nan, 5.0, torch.nan, torch.nan])
+    np.testing.assert_array_equal(mean_per_replica(values, 3), [2.0, 5.0, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        ("mappo", "lower algo.lr, or bound the gradients by algo.grad_clip"),
+        ("matrpo", "lower algo.lr or algo.kl_bound, or bound the gradients by algo.grad_clip"),
+        ("maacktr", "lower algo.lr or algo.kl_bound"),
+        ("madqn", "lower algo.lr, or bound the gradients by algo.grad_clip"),
+    ],
+)
+def test_the_advice_names_keys_of_the_algorithm(name: str, advice: str) -> None:
+    assert remedy(configure(name)) == advice

@@ -1,0 +1,52 @@
+"""Losses that return something else than one value per row are refused in one line."""
+
+from collections.abc import Callable
+from typing import ClassVar, cast
+
+import pytest
+import torch
+from torch import Tensor
+
+from headway.contracts import HeadwayError
+from headway_algos.networks.distributions import Distribution, MaskedCategorical
+from headway_algos.on_policy.updates.losses import Minibatch, checked_loss
+
+P, B = 2, 5
+NEW = MaskedCategorical.of_logits(torch.zeros(P, 3, B, requires_grad=True), None)
+BATCH = Minibatch(torch.zeros(P, B, dtype=torch.int64), torch.zeros(P, B), torch.ones(P, B))
+
+
+class _Loss:
+    reports: ClassVar[tuple[str, ...]] = ("entropy",)
+
+    def __init__(self, returned: Callable[[Tensor], object]) -> None:
+        self.returned = returned
+
+    def __call__(self, new: Distribution, batch: Minibatch) -> tuple[Tensor, dict[str, Tensor]]:
+        return cast("tuple[Tensor, dict[str, Tensor]]", self.returned(new.log_prob(batch.actions)))
+
+
+def test_a_loss_per_row_and_its_metrics_are_returned() -> None:
+    values, metrics = checked_loss(_Loss(lambda x: (-x, {"entropy": x, "other": 1})), NEW, BATCH)
+    torch.testing.assert_close(values, torch.full((P, B), 3.0).log())
+    assert metrics.shape == (1, P, B)
+    assert not metrics.requires_grad
+
+
+@pytest.mark.parametrize(
+    ("returned", "line"),
+    [
+        (lambda x: x, "must return a pair"),
+        (lambda x: (x, {}), "reports entropy, and must return it"),
+        (
+            lambda x: (x.mean(), {"entropy": x}),
+            r"one value per row.*\(2, 5\) here, and its loss has shape \(\)",
+        ),
+        (lambda x: (x.sum(1), {"entropy": x}), r"and its loss has shape \(2,\); leave out means and sums"),
+        (lambda x: (x, {"entropy": x.mean()}), r"and entropy has shape \(\)"),
+        (lambda x: (x.detach(), {"entropy": x}), "has no gradient"),
+    ],
+)
+def test_other_results_are_refused(returned: Callable[[Tensor], object], line: str) -> None:
+    with pytest.raises(HeadwayError, match=f"^_Loss .*{line}"):
+        checked_loss(_Loss(returned), NEW, BATCH)

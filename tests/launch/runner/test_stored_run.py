@@ -1,0 +1,85 @@
+"""Runs of versions whose policies acted in the environment's units go on doing so."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from headway.contracts import Box, EnvSpec
+from headway.store.parquet_log import read_rows
+from headway.store.run_folder import CHECKPOINTS
+from headway_launch.commands.main import run
+from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
+from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
+
+TINY = (
+    "run", "env=tracking", "algo=ippo", "energy=off", "env.args.steps=8", "algo.model.hidden=[8]",
+    "rollout.copies=4", "rollout.block=2", "rollout.steps=16", "env_steps=256", "store.checkpoint_every=1",
+    "evaluation.every=64", "evaluation.episodes=2", "evaluation.final_episodes=2", "evaluation.rules=[]",
+    "backend=serial",
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@contextmanager
+def _earlier_version() -> Iterator[None]:
+    """Policies act in the environment's units, and plans do not say so."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(EnvSpec, "for_policies", property(lambda spec: spec))
+        yield
+    for path in Path("runs").glob("*/*/plan.json"):
+        plan = json.loads(path.read_text())
+        del plan["scaled_actions"]
+        path.write_text(json.dumps(plan))
+
+
+def _only_run() -> StoredRun:
+    [record] = Path("runs").glob("*/*/run.json")
+    return StoredRun.read(Path("runs"), record.parent)
+
+
+def _returns(stored: StoredRun) -> list[float]:
+    """Returns of the recorded evaluation after the last iteration."""
+    rows = read_rows(stored.directory, "evaluation")
+    return [float(row["return"]) for row in rows if row["iteration"] == 4 and row["mode"] == "greedy"]
+
+
+@pytest.mark.slow
+def test_a_run_of_an_earlier_version_acts_in_the_units_it_was_trained_in() -> None:
+    with _earlier_version():
+        assert run(list(TINY)) == 0
+    stored = _only_run()
+    environment, returns = stored.experiment.prepare(), _returns(stored)
+    policy = newest_policy(stored, environment)
+    assert policy.plan.spec.action_space == Box((-2.0, -2.0), (2.0, 2.0))
+    root = stored.experiment.config.evaluation.seed
+    assert [row["return"] for row in policy_episodes(policy, root, 2, greedy=True)] == returns
+    # Back to the checkpoint before the last iteration, and on from there.
+    record = stored.directory / "run.json"
+    killed = {"status": "KILLED", "durable_iteration": 3}
+    record.write_text(json.dumps(json.loads(record.read_text()) | killed))
+    (stored.directory / CHECKPOINTS / "checkpoint-000004.pt").unlink()
+    [[job]] = jobs_to_resume([StoredRun.read(Path("runs"), stored.directory)])
+    assert job.spec == environment.spec
+    assert run(["resume", stored.record.run_id]) == 0
+    assert _returns(stored) == returns
+
+
+@pytest.mark.slow
+def test_a_run_acts_in_scaled_units_and_a_study_keeps_one_kind(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(list(TINY)) == 0
+    stored = _only_run()
+    policy = newest_policy(stored, stored.experiment.prepare())
+    assert policy.plan.spec.action_space == Box((-1.0, -1.0), (1.0, 1.0))
+    root = stored.experiment.config.evaluation.seed
+    assert [row["return"] for row in policy_episodes(policy, root, 2, greedy=True)] == _returns(stored)
+    with _earlier_version():
+        pass
+    assert run(["sweep", *TINY[1:], "seed=0,1"]) == 2
+    assert "set study to another name to train all anew" in capsys.readouterr().err

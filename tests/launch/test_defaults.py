@@ -1,0 +1,57 @@
+"""`algo=NAME` alone learns on an environment that it was not tuned for."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from headway.registry import algo_entries
+from headway.rollout.episodes import evaluate_rule
+from headway.store.index import RunIndex
+from headway_launch.commands.main import run
+from headway_launch.experiments.compose import compose
+
+pytestmark = pytest.mark.slow
+
+ENV_STEPS = 20_000
+LATER = {"ddpg": 40_000}
+"""Environment steps of algorithms that need more."""
+
+
+@pytest.mark.parametrize("algorithm", algo_entries())
+def test_defaults_close_half_of_the_gap_between_random_and_optimal_play(
+    algorithm: str, tmp_path: Path
+) -> None:
+    words = [f"env={'tracking' if algorithm == 'ddpg' else 'visitors'}", f"algo={algorithm}"]
+    options = [
+        f"env_steps={LATER.get(algorithm, ENV_STEPS)}",
+        "seed=1",
+        "backend=serial",
+        "energy=off",
+        "evaluation.rules=[]",
+        f"store.root={tmp_path}",
+    ]
+    assert run(["run", *words, *options]) == 0
+    (row,) = RunIndex(tmp_path).rows()
+    experiment = compose([*words, *options])
+    evaluation = experiment.config.evaluation
+    prepared = experiment.prepare().prepared
+    random, optimal = (
+        float(
+            np.mean(
+                [
+                    row["return"]
+                    for row in evaluate_rule(
+                        experiment.env.make,
+                        experiment.env.rules[rule].make,
+                        prepared,
+                        evaluation.seed,
+                        evaluation.last_episodes,
+                    )
+                ]
+            )
+        )
+        for rule in ("random", "optimal")
+    )
+    assert row.final_reward is not None
+    assert row.final_reward > (random + optimal) / 2

@@ -1,0 +1,113 @@
+"""Environments with MultiDiscrete actions: masks by choice, random play, learning to a known optimum."""
+
+import math
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+import pytest
+from dials import CHOICES, ENTRY, DialsConfig, parallel_env
+
+from headway.adapters.conformance import CHECKS, play
+from headway.adapters.parallel_entry import AdapterOptions
+from headway.contracts import BatchedEnv, HeadwayError, MultiDiscrete, RandomRule
+from headway.rollout.episodes import evaluate_rule
+from headway.rollout.plan import RolloutPlan
+from headway.rollout.serial_collector import SerialCollector
+from headway_algos.config import ModelConfig
+from headway_algos.registry import ENTRIES
+from headway_envs.api import from_batched
+
+STEPS = DialsConfig().steps
+
+
+def dials(prepared: object, copies: int) -> BatchedEnv:
+    return ENTRY.make(ENTRY.prepare(DialsConfig()), copies)
+
+
+@pytest.mark.parametrize("check", CHECKS)
+def test_the_contract_is_kept(check: str) -> None:
+    def make(copies: int) -> BatchedEnv:
+        return dials(None, copies)
+
+    CHECKS[check](make, play(make))
+
+
+def test_masks_of_the_choices_follow_one_another() -> None:
+    env = dials(None, 3)
+    assert env.spec.action_space == MultiDiscrete(CHOICES)
+    observed = env.reset(np.arange(3, dtype=np.uint64))
+    masks, seen = observed.action_masks, observed.observations
+    assert masks is not None
+    assert masks.shape == (3, 2, sum(CHOICES))
+    assert masks[seen > 0].all()  # targets are allowed
+    assert (masks.sum(axis=-1) == sum(CHOICES) - 1).all()
+    inner = from_batched(dials, None)
+    _, infos = inner.reset(seed=0)
+    assert infos["agent_0"]["action_mask"].shape == (sum(CHOICES),)
+
+
+def test_a_choice_without_an_allowed_option_is_an_error() -> None:
+    def stuck() -> Any:  # noqa: ANN401 - PettingZoo comes without types
+        env = parallel_env(DialsConfig())
+        draw = env._draw
+
+        def without_the_first_dial() -> Any:  # noqa: ANN401
+            seen, infos = draw()
+            infos["agent_1"]["action_mask"][: CHOICES[0]] = 0
+            return seen, infos
+
+        env._draw = without_the_first_dial  # type: ignore[method-assign]
+        return env
+
+    with pytest.raises(HeadwayError, match="agent 'agent_1' of copy 0 no action at step 0"):
+        AdapterOptions().adapt(stuck, 1, "dials").reset(np.zeros(1, np.uint64))
+
+
+def random_return() -> float:
+    rows = evaluate_rule(dials, lambda prepared: RandomRule(), None, 77, 100)
+    return float(np.mean([float(row["return"]) for row in rows]))
+
+
+def test_random_play_draws_allowed_options_uniformly() -> None:
+    """One in four is right; the environment refuses those forbidden."""
+    deviation = math.sqrt(STEPS * 0.25 * 0.75 / 200)  # of the mean over 100 episodes of two agents
+    assert abs(random_return() - STEPS / 4) < 5 * deviation
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "settings", "core"),
+    [
+        ("ippo", {}, "none"),
+        pytest.param("mappo", {"critic_actions": "others"}, "none", marks=pytest.mark.slow),
+        ("itrpo", {"kl_bound": 0.1}, "none"),
+        pytest.param("ia2c", {"lr": 3e-2}, "none", marks=pytest.mark.slow),
+        pytest.param("maacktr", {"lr": 0.25, "kl_bound": 0.1}, "none", marks=pytest.mark.slow),
+        pytest.param("happo", {"policies": "independent"}, "none", marks=pytest.mark.slow),
+        pytest.param("mappo", {"critic_actions": "others"}, "gru", marks=pytest.mark.slow),
+        pytest.param("itrpo", {"kl_bound": 0.1}, "gru", marks=pytest.mark.slow),
+    ],
+)
+def test_every_update_learns_to_make_both_choices_right(
+    algorithm: str, settings: dict[str, Any], core: str
+) -> None:
+    """At least 0.95 of the optimum, where random play has a quarter."""
+    entry, seeds, iterations = ENTRIES[algorithm], (0,), 12
+    config = entry.config(**{
+        "model": ModelConfig(hidden=(16,), core=core, **({"gru_size": 8} if core == "gru" else {})),
+        "policies": "shared", "lr": 1e-2,
+        "gamma": 0.5, "minibatches": 2 if algorithm.endswith("ppo") else 1, **settings,
+    })  # fmt: skip
+    with closing(dials(None, 1)) as env:
+        spec = env.spec.for_policies
+    policy = entry.acting_policy(config, spec)
+    collector = SerialCollector(RolloutPlan(dials, (), None, spec, policy, seeds, 8, 32, 8))
+    learner = entry.learner(config, spec, seeds, "cpu")
+    collector.begin()
+    for iteration in range(1, iterations + 1):
+        collector.collect(iteration, learner.acting_parameters())
+        learner.update(collector.trajectory, iteration, (iteration - 1) / iterations)
+    evaluated = collector.evaluate(77, 10, True, learner.acting_parameters())
+    collector.close()
+    returns = [float(np.mean([float(row["return"]) for row in rows])) for rows in evaluated]
+    assert min(returns) > 0.95 * STEPS
