@@ -9,6 +9,8 @@ import chromium
 import pytest
 from warm_training import WarmContext
 
+from headway.config.experiment import EnergyConfig
+from headway.energy.meter import EnergyMeter
 from headway_launch.commands.main import run
 from headway_launch.experiments import compose as compose_module
 
@@ -53,9 +55,21 @@ def browser_page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[chromium.
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Store with a study `pair` of trained runs: two seeds and two rules, with energy."""
+    """Store with a study `pair` of trained runs: two seeds and two rules, with energy.
+
+    CodeCarbon takes longer to start than these runs take to train, so the session waits for it.
+    """
     root = tmp_path_factory.mktemp("trained")
+    start = EnergyMeter.start
+
+    def start_and_wait(config: EnergyConfig) -> EnergyMeter:
+        meter = start(config)
+        meter.wait()
+        return meter
+
     words = ["experiment=toy_tracking", "study=pair", "seed=0,1", "env_steps=3000", "evaluation.every=1"]
     words += ["energy.interval_s=1", f"store.root={root}"]
-    assert run(["run", *words]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(EnergyMeter, "start", start_and_wait)
+        assert run(["run", *words]) == 0
     return root
