@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import EnvSpec, Trajectory
-from headway_algos.config import AlgoConfig, SimultaneousConfig
+from headway_algos.config import LearnerConfig, SimultaneousConfig
 from headway_algos.grouping import Grouping
-from headway_algos.replay_config import ReplayConfig
 
 MAX_AGENTS = 64
 """Maximum number of agents per policy for which `agent_id: null` appends the index.
@@ -20,7 +19,7 @@ With more agents, most inputs would be indices.
 """
 
 
-def agent_ids(config: AlgoConfig | ReplayConfig, spec: EnvSpec) -> NDArray[np.float32]:
+def agent_ids(config: LearnerConfig, spec: EnvSpec) -> NDArray[np.float32]:
     """Return each agent's columns (N, G): its one-hot index among its policy's agents; G = 0 without one."""
     grouping = Grouping.of(config.policies, spec)
     if not _has_ids(config, spec, grouping.width):
@@ -31,14 +30,14 @@ def agent_ids(config: AlgoConfig | ReplayConfig, spec: EnvSpec) -> NDArray[np.fl
     return ids
 
 
-def _has_ids(config: AlgoConfig | ReplayConfig, spec: EnvSpec, width: int) -> bool:
+def _has_ids(config: LearnerConfig, spec: EnvSpec, width: int) -> bool:
     if config.agent_id is not None:
         return config.agent_id
     splits = isinstance(config, SimultaneousConfig) and config.shared_until > 0
     return 2 <= width <= MAX_AGENTS and not spec.agents_come_and_go and not splits
 
 
-def impossible_ids(config: AlgoConfig | ReplayConfig, spec: EnvSpec) -> str | None:
+def impossible_ids(config: LearnerConfig, spec: EnvSpec) -> str | None:
     """Return an error line if the config requests indices but no policy has several agents, else None."""
     if config.agent_id and Grouping.of(config.policies, spec).width == 1:
         return f"algo.agent_id=true needs a policy with several agents; use algo.agent_id=null on {spec.name}"

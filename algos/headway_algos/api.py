@@ -10,7 +10,7 @@ from headway.contracts.lazy import lazy_attributes
 from headway_algos.components import Component
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.on_policy.critics.config import CriticConfig
-from headway_algos.on_policy.updates.config import GradientConfig, StepConfig
+from headway_algos.on_policy.updates.config import GradientUpdateConfig, MinibatchConfig
 from headway_algos.recipe import Recipe
 from headway_algos.registry import ENTRIES, configure, entry
 
@@ -33,14 +33,14 @@ __all__ = [
     "Critic",
     "CriticConfig",
     "Distribution",
-    "GradientConfig",
     "GradientUpdate",
+    "GradientUpdateConfig",
     "Minibatch",
+    "MinibatchConfig",
     "ModelConfig",
     "PPOLoss",
     "PolicyLoss",
     "Recipe",
-    "StepConfig",
     "Update",
     "configure",
     "entry",

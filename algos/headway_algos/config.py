@@ -1,4 +1,4 @@
-"""Hyper-parameters common to all on-policy algorithms.
+"""Hyper-parameters common to all algorithms, and to all on-policy algorithms.
 
 Critics, updates and orders add their own; `headway_algos.records` combines them into an algorithm's record.
 """
@@ -49,48 +49,63 @@ class ModelConfig:
 
 
 @dataclass(frozen=True)
-class AlgoConfig:
+class LearnerConfig:
+    """Hyper-parameters common to all algorithms."""
+
+    VALUES_BEFORE: ClassVar[Mapping[str, object]] = {"agent_id": False}
+
+    name: str = ""
+    """Name in the registry: see `headway list algos`."""
+    policies: Literal["independent", "shared", "groups"] = "groups"
+    """`groups`: one policy per group of alike agents, which the environment names; without groups, one for
+    all. `shared`: one for all agents; `independent`: one per agent."""
+    agent_id: bool | None = None
+    """Append the agent's index, one-hot, to the observations of agents that share a policy, for all networks,
+    so that agents with equal observations may act differently. null: yes, if at most 64 agents share it and
+    they do not come and go, since slots of those that do are no identities."""
+    gamma: float = 0.99
+    """Discount factor per step."""
+    lr: float = 5e-4
+    """Learning rate (Adam)."""
+    lr_end: float = 1.0
+    """Factor on the learning rates at the end of training, reached linearly; 1: constant."""
+    normalise_observations: bool = True
+    """Normalise observations by running statistics per policy, stored with the parameters."""
+    precision: Literal["float32", "float64"] = "float32"
+    """Dtype of networks and their inputs; normalisers, advantages and returns are always float64."""
+
+    def __post_init__(self) -> None:
+        require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
+        require(self.lr > 0, "lr must be above 0")
+        require(0 <= self.lr_end <= 1, "lr_end must lie in [0, 1]")
+
+
+@dataclass(frozen=True)
+class AlgoConfig(LearnerConfig):
     """Hyper-parameters common to all on-policy algorithms.
 
     Base of the records of critics, updates and orders.
     """
-
-    VALUES_BEFORE: ClassVar[Mapping[str, object]] = {"agent_id": False}
 
     name: str = "custom"
     """Name in the registry: see `headway list algos`."""
     critic: str = "local"
     update: str = "ppo"
     order: str = "simultaneous"
-    policies: Literal["independent", "shared", "groups"] = "groups"
-    """`groups`: one policy per group of alike agents, which the environment names; without groups, one for
-    all. `shared`: one for all agents; `independent`: one per agent."""
-    agent_id: bool | None = None
-    """Append the agent's index, one-hot, to the observations of agents that share a policy, for actor and
-    critic, so that agents with equal observations may act differently. null: yes, if at most 64 agents share
-    it and they do not come and go, since slots of those that do are no identities."""
     model: ModelConfig = field(default_factory=ModelConfig)
-    gamma: float = 0.99
-    """Discount factor per step."""
-    lr: float = 5e-4
+    lr: float = LearnerConfig.lr
     """Learning rate of the actor (Adam) and, if `critic_lr` is null, of the critic."""
-    lr_end: float = 1.0
+    lr_end: float = LearnerConfig.lr_end
     """Factor on the learning rates at the end of training, reached linearly; 1: constant. KL bounds are
     multiplied by its square, so that steps shrink alike."""
     normalise_advantages: bool = True
     """Standardise advantages per policy."""
-    normalise_observations: bool = True
-    """Normalise observations by running statistics per policy, stored with the parameters."""
-    precision: Literal["float32", "float64"] = "float32"
-    """Dtype of networks and their inputs; normalisers, advantages and returns are always float64."""
     piece_samples: int = 5120
     """Samples, over all policies of a stack, processed at once, so that activations fit the cache. Affects
     results by rounding only."""
 
     def __post_init__(self) -> None:
-        require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
-        require(self.lr > 0, "lr must be above 0")
-        require(0 <= self.lr_end <= 1, "lr_end must lie in [0, 1]")
+        super().__post_init__()
         require(self.piece_samples >= 1, "piece_samples must be at least 1")
 
 

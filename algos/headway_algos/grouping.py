@@ -62,6 +62,16 @@ class Grouping:
         slots[flat[flat >= 0]] = np.flatnonzero(flat >= 0)
         return slots
 
+    @cached_property
+    def _policy_of_agent(self) -> NDArray[np.int64]:
+        """(N,)"""
+        return self._slot_of_agent // self.width
+
+    def policies(self, copies: int, replicas: int) -> NDArray[np.int64]:
+        """Return the policy, of P = R x K, of each agent in each of C copies, (C, N)."""
+        first = np.arange(copies) // (copies // replicas) * self.num_policies
+        return first[:, None] + self._policy_of_agent
+
     def owner(self, policy: int, spec: EnvSpec) -> str:
         """Return the owner of policy `policy` of K: "agent bus_3", "group line_1" or "all agents"."""
         members = self.members[policy][self.members[policy] >= 0]

@@ -1,12 +1,12 @@
 """Configuration common to the off-policy algorithms, which learn from a replay buffer."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import exp
-from typing import ClassVar, Literal
+from typing import Literal
 
 from headway.contracts import Box, Discrete, Lazy
 from headway.contracts.checks import require
+from headway_algos.config import LearnerConfig
 
 
 @dataclass(frozen=True)
@@ -26,31 +26,17 @@ class NetworkConfig:
 
 
 @dataclass(frozen=True)
-class ReplayConfig:
+class ReplayConfig(LearnerConfig):
     """An off-policy algorithm: networks, targets, replay buffer and exploration schedule."""
 
-    VALUES_BEFORE: ClassVar[Mapping[str, object]] = {"agent_id": False}
-
-    name: str = ""
-    """Name in the registry: see `headway list algos`."""
     policies: Literal["independent", "shared", "groups"] = "groups"
     """`groups`: one policy per group of alike agents, which the environment names; without groups, one for
     all. `shared`: one for all agents; `independent`: one per agent. Each policy has its own replay buffer,
     filled by its agents only."""
-    agent_id: bool | None = None
-    """Append the agent's index, one-hot, to the observations of agents that share a policy, for all networks,
-    so that agents with equal observations may act differently. null: yes, if at most 64 agents share it and
-    they do not come and go, since slots of those that do are no identities."""
     model: NetworkConfig = field(default_factory=NetworkConfig)
-    gamma: float = 0.99
-    """Discount factor per step."""
     n_step: int = 1
     """Decisions of an agent between a transition's start and the value that its target bootstraps from. Above
     1, learning is faster with late rewards, but biased by the exploratory actions in between."""
-    lr: float = 5e-4
-    """Learning rate (Adam)."""
-    lr_end: float = 1.0
-    """Factor on the learning rates at the end of training, reached linearly; 1: constant."""
     capacity: int = 50_000
     """Transitions per replay buffer; the oldest are overwritten."""
     learning_starts: int = 500
@@ -80,14 +66,10 @@ class ReplayConfig:
     normalise_observations: bool = True
     """Normalise observations by running statistics per policy, stored with the parameters. Replay buffers
     hold unnormalised observations."""
-    precision: Literal["float32", "float64"] = "float32"
-    """Dtype of networks and their inputs; normalisers are float64, replayed observations float32."""
 
     def __post_init__(self) -> None:
-        require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
+        super().__post_init__()
         require(self.n_step >= 1, "n_step must be at least 1")
-        require(self.lr > 0, "lr must be above 0")
-        require(0 <= self.lr_end <= 1, "lr_end must lie in [0, 1]")
         require(self.capacity >= 1, "capacity must be at least 1")
         require(
             1 <= self.learning_starts <= self.capacity,

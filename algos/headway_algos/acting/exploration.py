@@ -29,16 +29,12 @@ class ExploringStack:
 
     def outputs(self, parameters: Parameters, observed: Observations) -> NDArray[Any]:
         """Return the network outputs of each agent, (C, N, A); 0 if it is not alive."""
-        features = self.flat.hidden_layers(parameters, observed)
-        return self.flat.output_layer(parameters, features).by_agent()
+        return self.flat.outputs(parameters, observed)
 
     def exploration(self, parameters: Parameters, copies: int) -> NDArray[np.float64]:
         """Return the exploration of each agent's policy, (C, N)."""
-        flat, replicas = self.flat, self.flat.replicas(parameters)
-        rows = flat.grouping.width * (copies // replicas)
-        by_row = np.repeat(parameters["exploration"][:, 0].astype(np.float64), rows, axis=1)
-        by_agent: NDArray[np.float64] = flat.grouping.scatter(by_row, replicas, steps=1)[0]
-        return by_agent
+        policies = self.flat.grouping.policies(copies, self.flat.replicas(parameters))
+        return parameters["exploration"].astype(np.float64)[policies, 0, 0]
 
 
 @dataclass(frozen=True)

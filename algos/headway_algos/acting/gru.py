@@ -1,6 +1,6 @@
 """Acting policy with gated recurrent units, in numpy."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -8,29 +8,29 @@ from numpy.typing import NDArray
 
 from headway.contracts import Observations
 from headway.contracts.acting_policy import Parameters
-from headway_algos.acting.live_rows import LiveRows
+from headway_algos.acting.live_agents import evaluate_live
 from headway_algos.acting.mlp import MLPActingPolicy, actor_outputs
 
 
 def gated_step(
     from_input: NDArray[Any], from_hidden: NDArray[Any], hidden_states: NDArray[Any], bias: NDArray[Any]
 ) -> NDArray[Any]:
-    """Return the next hidden states (P, M, B).
+    """Return the next hidden states (..., M).
 
-    `from_input` is W x + b and `from_hidden` U h, (P, 3 M, B), `bias` b_h (P, M, 1), of the equations in
+    `from_input` is W x + b and `from_hidden` U h, (..., 3 M), `bias` b_h (..., M), of the equations in
     `headway_algos.networks.gru`.
     """
-    size = hidden_states.shape[1]
+    size = hidden_states.shape[-1]
     # The logistic function by tanh, which does not overflow.
-    gates = from_input[:, : 2 * size] + from_hidden[:, : 2 * size]
+    gates = from_input[..., : 2 * size] + from_hidden[..., : 2 * size]
     gates *= 0.5
     np.tanh(gates, out=gates)
     gates += 1
     gates *= 0.5
-    reset, update = gates[:, :size], gates[:, size:]
-    candidate = from_hidden[:, 2 * size :] + bias
+    reset, update = gates[..., :size], gates[..., size:]
+    candidate = from_hidden[..., 2 * size :] + bias
     candidate *= reset
-    candidate += from_input[:, 2 * size :]
+    candidate += from_input[..., 2 * size :]
     np.tanh(candidate, out=candidate)
     return np.asarray(candidate + update * (hidden_states - candidate))
 
@@ -87,19 +87,15 @@ class GRUActingPolicy:
         noise: NDArray[np.float64] | None,
     ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
         """Implement `headway.contracts.RecurrentPolicy.act_from`. Actions of agents not alive are 0."""
-        flat, size = self.flat, self.hidden_size
-        features = flat.hidden_layers(parameters, observed)
-        inputs = features.layer(parameters["gru_weight_input"], parameters["gru_bias_input"])
-        zero = np.zeros((len(features.counts), 1, size), self.hidden_dtype)
-        before = LiveRows.gather(hidden_states, observed.alive, flat.grouping, zero, zero)
-        no_bias = np.zeros((len(features.counts), 3 * size, 1), self.hidden_dtype)
-        products = before.layer(parameters["gru_weight_memory"], no_bias)
-        after = replace(
-            before,
-            features=gated_step(
-                inputs.features, products.features, before.features, parameters["gru_bias_memory"]
-            ),
-        )
-        outputs = flat.output_layer(parameters, after).by_agent()
+        flat, alive, last = self.flat, observed.alive, len(self.flat.hidden)
+        gates = parameters["gru_weight_input"], parameters["gru_bias_input"]
+        inputs = flat.evaluate(parameters, observed, [*flat.layers(parameters, last), gates])
+        weight, bias = parameters["gru_weight_memory"], parameters["gru_bias_memory"]
+        no_bias = np.zeros((*weight.shape[:2], 1), self.hidden_dtype)
+        products = evaluate_live(hidden_states, alive, flat.grouping, [(weight, no_bias)])
+        policies = flat.grouping.policies(len(alive), flat.replicas(parameters))
+        after = gated_step(inputs, products, hidden_states, bias[policies, :, 0])
+        output = parameters[f"weight_{last}"], parameters[f"bias_{last}"]
+        outputs = evaluate_live(after, alive, flat.grouping, [output])
         actions, log_probs = flat.choose_actions(parameters, observed, outputs, noise)
-        return actions, log_probs, np.where(observed.alive[..., None], after.by_agent(), hidden_states)
+        return actions, log_probs, np.where(alive[..., None], after, hidden_states)

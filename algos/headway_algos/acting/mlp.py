@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, MultiDiscrete, Observations
 from headway.contracts.acting_policy import Parameters
-from headway_algos.acting.live_rows import LiveRows
+from headway_algos.acting.live_agents import evaluate_live
 from headway_algos.agent_id import agent_ids, with_ids
 from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 from headway_algos.kernels import acting as kernel
 from headway_algos.replay_config import ReplayConfig
 
+Layer = tuple[NDArray[Any], NDArray[Any]]
+"""Weights (P, outs, ins) and biases (P, outs, 1)."""
 OBSERVATION_CLIP = 10.0
 """Normalised observations are clipped at this many standard deviations, as in OpenAI Baselines'
 VecNormalize."""
@@ -104,29 +106,28 @@ class MLPActingPolicy:
         self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """Implement `headway.contracts.ActingPolicy.act`. Actions of agents not alive are 0."""
-        outputs = self.output_layer(parameters, self.hidden_layers(parameters, observed))
-        return self.choose_actions(parameters, observed, outputs.by_agent(), noise)
+        return self.choose_actions(parameters, observed, self.outputs(parameters, observed), noise)
 
     def replicas(self, parameters: Parameters) -> int:
         """Return R, the number of replicas in `parameters`."""
         stack: int = parameters["observation_mean"].shape[0]
         return stack // self.grouping.num_policies
 
-    def hidden_layers(self, parameters: Parameters, observed: Observations) -> LiveRows:
-        """Return the last hidden layer's activations for the live agents' observations."""
-        observations = with_ids(observed.observations, self.agent_ids)
-        rows = LiveRows.gather(
-            observations, observed.alive, self.grouping, parameters["observation_mean"],
-            parameters["observation_scale"], OBSERVATION_CLIP if self.normalise else 0.0,
-        )  # fmt: skip
-        for i in range(len(self.hidden)):
-            rows = rows.layer(parameters[f"weight_{i}"], parameters[f"bias_{i}"], self.activation)
-        return rows
+    def outputs(self, parameters: Parameters, observed: Observations) -> NDArray[Any]:
+        """Return the network outputs of each agent, (C, N, A); 0 if it is not alive."""
+        return self.evaluate(parameters, observed, self.layers(parameters, len(self.hidden) + 1))
 
-    def output_layer(self, parameters: Parameters, features: LiveRows) -> LiveRows:
-        """Return the network outputs, given the inputs of the output layer."""
-        last = len(self.hidden)
-        return features.layer(parameters[f"weight_{last}"], parameters[f"bias_{last}"])
+    def layers(self, parameters: Parameters, count: int) -> list[Layer]:
+        """Return the weights and biases of the first `count` layers."""
+        return [(parameters[f"weight_{i}"], parameters[f"bias_{i}"]) for i in range(count)]
+
+    def evaluate(self, parameters: Parameters, observed: Observations, layers: list[Layer]) -> NDArray[Any]:
+        """Return the outputs (C, N, A) of layers for the normalised observations; 0 for agents not alive."""
+        mean, scale = parameters["observation_mean"], parameters["observation_scale"]
+        return evaluate_live(
+            with_ids(observed.observations, self.agent_ids), observed.alive, self.grouping, layers,
+            self.activation, (mean, scale, OBSERVATION_CLIP if self.normalise else 0.0),
+        )  # fmt: skip
 
     def choose_actions(
         self,
@@ -142,8 +143,8 @@ class MLPActingPolicy:
         if isinstance(space, Box):
             actions = np.empty((copies * agents, size), np.float32)
             normals = np.empty((0, size)) if noise is None else np.ascontiguousarray(noise).reshape(-1, size)
-            log_std = self._log_std(parameters, copies)
-            kernel.choose_gaussian(flat, alive, log_std, normals, actions, log_probs)
+            policies = self.grouping.policies(copies, self.replicas(parameters)).ravel()
+            kernel.choose_gaussian(flat, alive, policies, parameters["log_std"], normals, actions, log_probs)
             return actions.reshape(copies, agents, size), log_probs.reshape(copies, agents)
         options = np.array([space.n] if isinstance(space, Discrete) else space.nvec)
         masks = np.empty((0, size), np.bool_)
@@ -156,10 +157,3 @@ class MLPActingPolicy:
         kernel.choose_categorical(flat, options, alive, masks, uniforms, np.empty(size), chosen, log_probs)
         shape = observed.alive.shape if isinstance(space, Discrete) else (copies, agents, len(options))
         return chosen.reshape(shape), log_probs.reshape(copies, agents)
-
-    def _log_std(self, parameters: Parameters, copies: int) -> NDArray[Any]:
-        """Return the log standard deviations (C x N, A)."""
-        replicas, log_std = self.replicas(parameters), parameters["log_std"][..., 0]
-        each = np.repeat(log_std[:, None], self.grouping.width, axis=1)
-        by_agent = self.grouping.scatter(each, replicas, steps=1)[0]
-        return np.repeat(by_agent, copies // replicas, axis=0).reshape(-1, log_std.shape[1])

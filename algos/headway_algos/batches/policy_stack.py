@@ -10,11 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway.contracts import EnvSpec, HeadwayError
-from headway_algos.config import AlgoConfig
+from headway_algos.config import LearnerConfig
 from headway_algos.grouping import Grouping
-from headway_algos.replay_config import ReplayConfig
-
-Configuration = AlgoConfig | ReplayConfig
 
 
 def resolve_device(device: str) -> torch.device:
@@ -38,7 +35,7 @@ class Stack:
     seeds: tuple[int, ...]
     """(R,): one per replica."""
 
-    def raise_if_diverged(self, acting: Mapping[str, NDArray[Any]], config: Configuration, when: str) -> None:
+    def raise_if_diverged(self, acting: Mapping[str, NDArray[Any]], config: LearnerConfig, when: str) -> None:
         """Raise HeadwayError, naming policy and seed, if acting parameters (P, ., .) are not all finite.
 
         `when`: for instance "iteration 7".
@@ -54,7 +51,7 @@ class Stack:
                 )
 
 
-def remedy(config: Configuration) -> str:
+def remedy(config: LearnerConfig) -> str:
     """Return what to change when training diverges, in keys that the algorithm has."""
     keys = {key.name for key in fields(config)}
     lower = " or ".join(f"algo.{key}" for key in ("lr", "kl_bound") if key in keys)

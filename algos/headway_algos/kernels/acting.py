@@ -1,95 +1,142 @@
-"""Inference of stacked perceptrons for acting: rows of live agents, layers, and sampled actions."""
+"""Inference of stacked perceptrons for acting: outputs for live agents, and sampled actions."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_algos.kernels.compiled import Floats, compiled
-from headway_algos.kernels.perceptron import RELU, TANH, layer, padded
-from headway_algos.kernels.products import LANES
+from headway_algos.kernels.compiled import Floats, compiled  # isort: skip - sets numba up
+from numba import types
+from numba.extending import overload
+
+from headway_algos.kernels.perceptron import LINEAR, RELU, TANH, activate, padded
+from headway_algos.kernels.products import LANES, multiply
 
 _HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 
 
 @compiled
-def gather(
+def _gather(
     observations: NDArray[np.float32],
+    alive: NDArray[np.bool_],
+    members: NDArray[np.int64],
+    copies: tuple[int, int],
+    mean: Floats,
+    scale: Floats,
+    clip: float,
+    slots: NDArray[np.int64],
+    rows: Floats,
+) -> int:
+    """Write the observations of a policy's live agents to `rows` (D, L), features first; return their number.
+
+    Row b is that of slot `slots[b]`, copy x N + agent, ordered by agent, then copy, of the policy's `members`
+    (G,) in copies from the first to before the second of `copies`. See `evaluate_live` for the rest.
+    """
+    n, bound = 0, mean.dtype.type(clip)
+    for g in range(len(members)):
+        if members[g] < 0:
+            continue
+        for copy in range(copies[0], copies[1]):
+            if alive[copy, members[g]]:
+                slots[n] = copy * alive.shape[1] + members[g]
+                n += 1
+    for b in range(n):
+        observation = observations[slots[b]]
+        for d in range(len(observation)):
+            rows[d, b] = observation[d]
+    for d in range(observations.shape[1]):
+        row, centre, factor = rows[d], mean[d], scale[d]
+        if bound > 0:
+            for b in range(n):
+                x = (row[b] - centre) * factor
+                # Written so that NaN stays NaN.
+                x = bound if x > bound else x
+                row[b] = -bound if x < -bound else x
+        for b in range(n, padded(n)):
+            row[b] = 0
+    return n
+
+
+@compiled
+def _layer(weight: Floats, bias: Floats, x: Floats, n: int, activation: int, y: Floats) -> None:
+    """Write f(W x + b) of n columns to y (outs, .), given x (ins, .), W (outs, ins), b (outs, 1), float32."""
+    outs, ins = weight.shape
+    multiply(weight, 0, ins, 1, outs, ins, x, y, padded(n))
+    activate(y[:outs], bias[:, 0], activation, padded(n))
+
+
+@compiled
+def _layer_in_float64(weight: Floats, bias: Floats, x: Floats, n: int, activation: int, y: Floats) -> None:
+    """Do what `_layer` does in float32."""
+    outs, ins = weight.shape
+    for t in range(n):
+        for o in range(outs):
+            total = bias[o, 0]
+            for i in range(ins):
+                total += weight[o, i] * x[i, t]
+            if activation == TANH:
+                total = math.tanh(total)
+            elif activation == RELU:
+                total = 0 if total < 0 else total
+            y[o, t] = total
+
+
+def _layer_of_dtype(weight: Floats, bias: Floats, x: Floats, n: int, activation: int, y: Floats) -> None:
+    """Call `_layer` or `_layer_in_float64`, depending on the dtype; in compiled code only."""
+    raise NotImplementedError
+
+
+@overload(_layer_of_dtype, strict=False)
+def _choose_layer(weight: Any, bias: Any, x: Any, n: Any, activation: Any, y: Any) -> Any:  # noqa: ANN401
+    chosen = _layer if weight.dtype == types.float32 else _layer_in_float64
+
+    def apply(weight: Floats, bias: Floats, x: Floats, n: int, activation: int, y: Floats) -> None:
+        chosen(weight, bias, x, n, activation, y)
+
+    return apply
+
+
+@compiled
+def evaluate_live(
+    observations: NDArray[Any],
     alive: NDArray[np.bool_],
     members: NDArray[np.int64],
     mean: Floats,
     scale: Floats,
     clip: float,
+    weights: tuple[Floats, ...],
+    biases: tuple[Floats, ...],
+    activation: int,
     slots: NDArray[np.int64],
-    counts: NDArray[np.int64],
     rows: Floats,
+    outputs: Floats,
 ) -> None:
-    """Write the observations (C N, D) of live slots (C, N) by policy to `rows` (P, D, L), features first.
+    """Write the outputs of stacked perceptrons to `outputs` (C N, A), for the live slots of `alive` (C, N).
 
-    `members` (K, G) are the agents of each policy of a replica, padded with -1. Row b of policy p belongs to
-    slot `slots[p, b]`, copy x N + agent, ordered by agent, then copy; `counts` (P,) are the numbers of rows.
-    Lanes up to the next multiple of LANES are 0. Observations are normalised with `mean` and `scale`
-    (P, 1, D) and clipped at +-`clip`; unchanged if `clip` is 0.
+    `observations` are (C N, D). `members` (K, G) are the agents of each policy of a replica, padded with -1.
+    Observations are normalised with `mean` and `scale` (P, 1, D) and clipped at +-`clip`; unchanged if `clip`
+    is 0. `weights` are (P, outs, ins) and `biases` (P, outs, 1) per layer; `activation` is that of all layers
+    but the last, which is linear. `slots` (B,) and `rows` (2, W, L) are overwritten.
+
+    Each row is computed on its own, so that its result does not depend on the others, to the last bit.
     """
-    copies, agents = alive.shape
-    policies, size = len(members), observations.shape[1]
-    each, bound = copies * policies // len(rows), mean.dtype.type(clip)
-    for p in range(len(rows)):
+    policies = len(members)
+    each = len(alive) * policies // len(mean)
+    for p in range(len(mean)):
         first = p // policies * each
-        n = 0
-        for g in range(members.shape[1]):
-            agent = members[p % policies, g]
-            if agent < 0:
-                continue
-            for copy in range(first, first + each):
-                if alive[copy, agent]:
-                    slots[p, n] = copy * agents + agent
-                    n += 1
-        counts[p] = n
+        copies = (first, first + each)
+        agents = members[p % policies]
+        n = _gather(observations, alive, agents, copies, mean[p, 0], scale[p, 0], clip, slots, rows[0])
+        if n == 0:
+            continue
+        for k in range(len(weights)):
+            f = activation if k < len(weights) - 1 else LINEAR
+            _layer_of_dtype(weights[k][p], biases[k][p], rows[k % 2], n, f, rows[(k + 1) % 2])
+        last = rows[len(weights) % 2]
         for b in range(n):
-            observation = observations[slots[p, b]]
-            for d in range(size):
-                rows[p, d, b] = observation[d]
-        for d in range(size):
-            row, centre, factor = rows[p, d], mean[p, 0, d], scale[p, 0, d]
-            if bound > 0:
-                for b in range(n):
-                    x = (row[b] - centre) * factor
-                    # Written so that NaN stays NaN.
-                    x = bound if x > bound else x
-                    row[b] = -bound if x < -bound else x
-            for b in range(n, padded(n)):
-                row[b] = 0
-
-
-@compiled
-def layer_in_float64(
-    weight: Floats, bias: Floats, inputs: Floats, counts: NDArray[np.int64], activation: int, outputs: Floats
-) -> None:
-    """Do what `layer` does in float32, row by row; lanes that are not rows become 0."""
-    outs, ins = outputs.shape[1], inputs.shape[1]
-    for p in range(len(weight)):
-        for t in range(counts[p]):
-            for o in range(outs):
-                total = bias[p, o]
-                for i in range(ins):
-                    total += weight[p, o * ins + i] * inputs[p, i, t]
-                if activation == TANH:
-                    total = math.tanh(total)
-                elif activation == RELU:
-                    total = 0 if total < 0 else total
-                outputs[p, o, t] = total
-        for o in range(outs):
-            outputs[p, o, counts[p] :] = 0
-
-
-@compiled
-def scatter(rows: Floats, slots: NDArray[np.int64], counts: NDArray[np.int64], by_slot: Floats) -> None:
-    """Write `rows` (P, A, L) to the slots (C N, A) that they belong to, as `gather` found them."""
-    for p in range(len(rows)):
-        for b in range(counts[p]):
-            for a in range(rows.shape[1]):
-                by_slot[slots[p, b], a] = rows[p, a, b]
+            for a in range(outputs.shape[1]):
+                outputs[slots[b], a] = last[a, b]
 
 
 @compiled
@@ -146,6 +193,7 @@ def choose_categorical(
 def choose_gaussian(
     means: Floats,
     alive: NDArray[np.bool_],
+    policies: NDArray[np.int64],
     log_std: Floats,
     normals: NDArray[np.float64],
     actions: NDArray[np.float32],
@@ -153,7 +201,8 @@ def choose_gaussian(
 ) -> None:
     """Sample an action (A,) per live slot; 0 for slots not `alive` (B,).
 
-    `means` and `log_std` are (B, A), `normals` (B, A), empty for the mean. Actions are not clipped.
+    `means` are (B, A), `log_std` (P, A, 1), that of slot b in row `policies[b]`. `normals` are (B, A), empty
+    for the mean. Actions are not clipped.
     """
     greedy = len(normals) == 0
     for b in range(len(means)):
@@ -162,23 +211,31 @@ def choose_gaussian(
             actions[b, a] = 0
             if not alive[b]:
                 continue
-            deviation = math.exp(log_std[b, a])
+            spread = log_std[policies[b], a, 0]
+            deviation = math.exp(spread)
             actions[b, a] = means[b, a] + (0.0 if greedy else deviation * normals[b, a])
             # Of the action as stored in float32, which is what the learner sees.
             standard = (actions[b, a] - means[b, a]) / deviation
-            total -= 0.5 * standard * standard + log_std[b, a] + _HALF_LOG_2_PI
+            total -= 0.5 * standard * standard + spread + _HALF_LOG_2_PI
         log_probs[b] = total
 
 
 def warm_acting() -> None:
-    """Compile the kernels of this file for both dtypes, or load them from the cache."""
-    counts, slots, indices = np.zeros(1, np.int64), np.zeros((1, 1), np.int64), np.zeros((1, 1), np.int64)
-    alive, masks, draws = np.zeros((1, 1), np.bool_), np.zeros((1, 1), np.bool_), np.zeros((1, 1))
-    observations, log_probs = np.zeros((1, 1), np.float32), np.zeros(1)
-    for dtype, apply in ((np.float32, layer), (np.float64, layer_in_float64)):
-        cube, one, table = np.zeros((1, 1, LANES), dtype), np.zeros((1, 1, 1), dtype), np.zeros((1, 1), dtype)
-        gather(observations, alive, indices, one, one, 0.0, slots, counts, cube)
-        apply(table, table, cube, counts, TANH, cube)
-        scatter(cube, slots, counts, table)
-        choose_categorical(table, counts, alive[0], masks, draws, draws[0], indices, log_probs)
-        choose_gaussian(table, alive[0], table, draws, np.zeros((1, 1), np.float32), log_probs)
+    """Compile the kernels of this file, or load them from the cache.
+
+    Networks of up to two hidden layers in float32 and of two in float64; others are compiled when first used.
+    """
+    indices, draws, log_probs = np.zeros((1, 1), np.int64), np.zeros((1, 1)), np.zeros(1)
+    alive = masks = np.zeros((1, 1), np.bool_)
+    for dtype, depths in ((np.float32, (1, 2, 3)), (np.float64, (3,))):
+        rows, one, table = np.zeros((2, 1, LANES), dtype), np.zeros((1, 1, 1), dtype), np.zeros((1, 1), dtype)
+        inputs = {np.dtype(np.float32), np.dtype(dtype)}
+        for depth in depths:
+            layers = (one,) * depth
+            for kind in inputs:
+                observations = np.zeros((1, 1), kind)
+                evaluate_live(
+                    observations, alive, indices, one, one, 0.0, layers, layers, TANH, indices[0], rows, table
+                )
+        choose_categorical(table, indices[0], alive[0], masks, draws, draws[0], indices, log_probs)
+        choose_gaussian(table, alive[0], indices[0], one, draws, np.zeros((1, 1), np.float32), log_probs)

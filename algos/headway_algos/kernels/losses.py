@@ -115,22 +115,22 @@ class Targets(NamedTuple):
 
 
 @compiled
-def _begin(net: Perceptrons, p: int) -> None:
+def _clear_gradient(net: Perceptrons, p: int) -> None:
     """Set the gradient of network p to 0."""
     for i in range(net.gradient.shape[1]):
         net.gradient[p, i] = ZERO
 
 
 @compiled
-def _part(rows: int) -> int:
+def _rows_per_pass(n: int) -> int:
     """Return how many rows of a minibatch pass through a network together: equal parts of whole tiles."""
-    parts = (rows + ROWS - 1) // ROWS
-    return ((rows + parts - 1) // parts + TILE - 1) // TILE * TILE
+    parts = (n + ROWS - 1) // ROWS
+    return ((n + parts - 1) // parts + TILE - 1) // TILE * TILE
 
 
 @compiled
 def _surrogate_derivatives(
-    net: Perceptrons, data: PolicyData, share: np.float32, n: int, reported: Floats
+    net: Perceptrons, data: PolicyData, weight: np.float32, n: int, reported: Floats
 ) -> None:
     """Replace the advantages, `net.scratch[1]`, by d loss / d log-probability.
 
@@ -140,7 +140,7 @@ def _surrogate_derivatives(
     log_ratios, advantages, ratios = net.scratch[0], net.scratch[1], net.scratch[2]
     if data.clip < 0:
         for t in range(n):
-            advantages[t] *= -share
+            advantages[t] *= -weight
         return
     low, high = np.float32(1 - data.clip), np.float32(1 + data.clip)
     for t in range(n):
@@ -154,46 +154,46 @@ def _surrogate_derivatives(
         bounded = low if ratio < low else ratio
         bounded = high if bounded > high else bounded
         gained = ratio * advantages[t]
-        advantages[t] = ZERO if gained > bounded * advantages[t] else -share * gained
-    reported[0] += share * kl
-    reported[2] += share * clipped
+        advantages[t] = ZERO if gained > bounded * advantages[t] else -weight * gained
+    reported[0] += weight * kl
+    reported[2] += weight * clipped
 
 
 @compiled
 def _learn_gaussian(
-    net: Perceptrons, p: int, places: NDArray[np.int64], share: np.float32, data: PolicyData, box: BoxActions,
+    net: Perceptrons, p: int, rows: NDArray[np.int64], weight: np.float32, data: PolicyData, box: BoxActions,
     reported: Floats,
 ) -> None:  # fmt: skip
-    """Add the gradient of network p on the rows `places` (n,), each of weight `share`."""
-    n, size, half_log_2pi = len(places), net.layers[-1, 1], np.float32(0.5 * math.log(2 * math.pi))
+    """Add the gradient of network p on `rows` (n,), each of weight `weight`."""
+    n, size, half_log_2pi = len(rows), net.layers[-1, 1], np.float32(0.5 * math.log(2 * math.pi))
     top, last = net.layers[:, 0].sum(), net.errors[len(net.layers) % 2]
-    log_ratios, pulls = net.scratch[0], net.scratch[1]
+    log_ratios, log_prob_gradients = net.scratch[0], net.scratch[1]
     log_std, log_std_gradient = net.values[p, box.log_std_at :], net.gradient[p, box.log_std_at :]
-    forward(net, p, data.observations, places)
+    forward(net, p, data.observations, rows)
     for t in range(n):
-        log_ratios[t], pulls[t] = -data.log_probs[places[t]], data.advantages[places[t]]
+        log_ratios[t], log_prob_gradients[t] = -data.log_probs[rows[t]], data.advantages[rows[t]]
     for a in range(size):
-        mean, standard = net.activations[top + a], last[a]
+        mean, standardised = net.activations[top + a], last[a]
         inverse, constant = np.float32(math.exp(-log_std[a])), log_std[a] + half_log_2pi
         for t in range(n):
-            standard[t] = (box.actions[places[t], a] - mean[t]) * inverse
-            log_ratios[t] -= HALF * standard[t] * standard[t] + constant
-        reported[1] += share * n * (constant + HALF)
-    _surrogate_derivatives(net, data, share, n, reported)
+            standardised[t] = (box.actions[rows[t], a] - mean[t]) * inverse
+            log_ratios[t] -= HALF * standardised[t] * standardised[t] + constant
+        reported[1] += weight * n * (constant + HALF)
+    _surrogate_derivatives(net, data, weight, n, reported)
     for a in range(size):
-        mean, standard = net.activations[top + a], last[a]
-        inverse, of_log_std = np.float32(math.exp(-log_std[a])), -np.float32(data.entropy_coeff) * share * n
+        mean, standardised = net.activations[top + a], last[a]
+        inverse, log_std_sum = np.float32(math.exp(-log_std[a])), -np.float32(data.entropy_coeff) * weight * n
         for t in range(n):
-            of_log_std += pulls[t] * (standard[t] * standard[t] - ONE)
-            standard[t] *= pulls[t] * inverse
+            log_std_sum += log_prob_gradients[t] * (standardised[t] * standardised[t] - ONE)
+            standardised[t] *= log_prob_gradients[t] * inverse
         if len(data.old_outputs) > 0:
             ratio = np.float32(math.exp(2 * (box.old_log_std[p, a] - log_std[a])))
-            weight = data.kl_coeff[p] * share
+            kl_weight = data.kl_coeff[p] * weight
             for t in range(n):
-                shift = (mean[t] - data.old_outputs[places[t], a]) * inverse
-                standard[t] += weight * shift * inverse
-                of_log_std += weight * (ONE - ratio - shift * shift)
-        log_std_gradient[a] += of_log_std
+                shift = (mean[t] - data.old_outputs[rows[t], a]) * inverse
+                standardised[t] += kl_weight * shift * inverse
+                log_std_sum += kl_weight * (ONE - ratio - shift * shift)
+        log_std_gradient[a] += log_std_sum
     backward(net, p, n)
 
 
@@ -238,68 +238,73 @@ def _normalise(
 
 @compiled
 def _learn_categorical(
-    net: Perceptrons, p: int, places: NDArray[np.int64], share: np.float32, data: PolicyData,
+    net: Perceptrons, p: int, rows: NDArray[np.int64], weight: np.float32, data: PolicyData,
     discrete: DiscreteActions, reported: Floats,
 ) -> None:  # fmt: skip
-    """Add the gradient of network p on the rows `places` (n,), each of weight `share`."""
-    n, size, actions = len(places), net.layers[-1, 1], discrete.actions
+    """Add the gradient of network p on `rows` (n,), each of weight `weight`."""
+    n, size, actions = len(rows), net.layers[-1, 1], discrete.actions
     top, probabilities = net.layers[:, 0].sum(), net.errors[len(net.layers) % 2]
     logits = net.activations[top:]
-    log_ratios, pulls, scales, entropies = net.scratch[0], net.scratch[1], net.scratch[3], net.scratch[4]
-    forward(net, p, data.observations, places)
+    log_ratios, log_prob_gradients, scales, entropies = (
+        net.scratch[0],
+        net.scratch[1],
+        net.scratch[3],
+        net.scratch[4],
+    )
+    forward(net, p, data.observations, rows)
     if len(discrete.masks) > 0:
         for t in range(n):
             for a in range(size):
-                if not discrete.masks[places[t], a]:
+                if not discrete.masks[rows[t], a]:
                     logits[a, t] = _FORBIDDEN
     _normalise(logits, probabilities, scales, net.exponents, net.powers, size, n)
     for t in range(n):
-        r = places[t]
-        log_ratios[t], pulls[t] = logits[actions[r], t] - data.log_probs[r], data.advantages[r]
+        r = rows[t]
+        log_ratios[t], log_prob_gradients[t] = logits[actions[r], t] - data.log_probs[r], data.advantages[r]
         entropies[t] = ZERO
     for a in range(size):
         for t in range(n):
             entropies[t] -= probabilities[a, t] * logits[a, t]
-    _surrogate_derivatives(net, data, share, n, reported)
+    _surrogate_derivatives(net, data, weight, n, reported)
     total = ZERO
     for t in range(n):
         total += entropies[t]
-    reported[1] += share * total
-    penalised, bonus = len(data.old_outputs) > 0, np.float32(data.entropy_coeff) * share
-    weight = data.kl_coeff[p] * share if penalised else ZERO
+    reported[1] += weight * total
+    penalised, bonus = len(data.old_outputs) > 0, np.float32(data.entropy_coeff) * weight
+    kl_weight = data.kl_coeff[p] * weight if penalised else ZERO
     for a in range(size):
         for t in range(n):
-            probabilities[a, t] *= bonus * (logits[a, t] + entropies[t]) - pulls[t] + weight
+            probabilities[a, t] *= bonus * (logits[a, t] + entropies[t]) - log_prob_gradients[t] + kl_weight
     for t in range(n):
-        probabilities[actions[places[t]], t] += pulls[t]
+        probabilities[actions[rows[t]], t] += log_prob_gradients[t]
         if penalised:
             for a in range(size):
-                probabilities[a, t] -= weight * data.old_outputs[places[t], a]
+                probabilities[a, t] -= kl_weight * data.old_outputs[rows[t], a]
     backward(net, p, n)
 
 
 @compiled
 def _learn_returns(
-    net: Perceptrons, p: int, places: NDArray[np.int64], share: np.float32, data: Targets, reported: Floats
+    net: Perceptrons, p: int, rows: NDArray[np.int64], weight: np.float32, data: Targets, reported: Floats
 ) -> None:
-    """Add the gradient of network p on the rows `places` (n,), each of weight `share`."""
-    n, chosen, bound, differences = len(places), len(data.taken) > 0, np.float32(data.bound), net.scratch[0]
+    """Add the gradient of network p on `rows` (n,), each of weight `weight`."""
+    n, chosen, bound, differences = len(rows), len(data.taken) > 0, np.float32(data.bound), net.scratch[0]
     top, last = net.layers[:, 0].sum(), net.errors[len(net.layers) % 2]
-    forward(net, p, data.inputs, places)
+    forward(net, p, data.inputs, rows)
     for t in range(n):
-        output = data.taken[places[t]] if chosen else 0
-        differences[t] = net.activations[top + output, t] - data.targets[places[t]]
+        output = data.taken[rows[t]] if chosen else 0
+        differences[t] = net.activations[top + output, t] - data.targets[rows[t]]
     total = ZERO
     for t in range(n):
         error = differences[t] * differences[t]
         total += bound if error > bound else error
-        differences[t] *= ZERO if error > bound else share + share
-    reported[0] += share * total
+        differences[t] *= ZERO if error > bound else weight + weight
+    reported[0] += weight * total
     for a in range(net.layers[-1, 1]):
         for t in range(n):
             last[a, t] = ZERO
     for t in range(n):
-        last[data.taken[places[t]] if chosen else 0, t] = differences[t]
+        last[data.taken[rows[t]] if chosen else 0, t] = differences[t]
     backward(net, p, n)
 
 
@@ -322,11 +327,11 @@ def descend_gaussian(
             n = batches.sizes[s, p]
             if n == 0:
                 continue
-            _begin(net, p)
-            part, share = _part(n), np.float32(1 / n)
+            _clear_gradient(net, p)
+            part, weight = _rows_per_pass(n), np.float32(1 / n)
             for start in range(0, n, part):
-                places = batches.rows[s, p, start : min(start + part, n)]
-                _learn_gaussian(net, p, places, share, data, box, reported[p])
+                rows = batches.rows[s, p, start : min(start + part, n)]
+                _learn_gaussian(net, p, rows, weight, data, box, reported[p])
             norms[p] += step_network(net.values[p], net.gradient[p], adam, p)
 
 
@@ -346,11 +351,11 @@ def descend_categorical(
             n = batches.sizes[s, p]
             if n == 0:
                 continue
-            _begin(net, p)
-            part, share = _part(n), np.float32(1 / n)
+            _clear_gradient(net, p)
+            part, weight = _rows_per_pass(n), np.float32(1 / n)
             for start in range(0, n, part):
-                places = batches.rows[s, p, start : min(start + part, n)]
-                _learn_categorical(net, p, places, share, data, discrete, reported[p])
+                rows = batches.rows[s, p, start : min(start + part, n)]
+                _learn_categorical(net, p, rows, weight, data, discrete, reported[p])
             norms[p] += step_network(net.values[p], net.gradient[p], adam, p)
 
 
@@ -365,9 +370,9 @@ def descend_returns(
             n = batches.sizes[s, p]
             if n == 0:
                 continue
-            _begin(net, p)
-            part, share = _part(n), np.float32(1 / n)
+            _clear_gradient(net, p)
+            part, weight = _rows_per_pass(n), np.float32(1 / n)
             for start in range(0, n, part):
-                places = batches.rows[s, p, start : min(start + part, n)]
-                _learn_returns(net, p, places, share, data, reported[p])
+                rows = batches.rows[s, p, start : min(start + part, n)]
+                _learn_returns(net, p, rows, weight, data, reported[p])
             norms[p] += step_network(net.values[p], net.gradient[p], adam, p)

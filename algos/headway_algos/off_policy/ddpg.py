@@ -33,8 +33,8 @@ class DeterministicPolicyGradient:
     METRICS: ClassVar[tuple[str, ...]] = (
         "critic/loss",
         "critic/value",
-        "critic/grad_norm",
-        "policy/grad_norm",
+        "critic/gradient_norm",
+        "policy/gradient_norm",
     )
 
     def __init__(
@@ -85,8 +85,8 @@ class DeterministicPolicyGradient:
         return {
             "critic/loss": loss.detach(),
             "critic/value": mean_over_batch(values, active).detach(),
-            "critic/grad_norm": critic_norm,
-            "policy/grad_norm": actor_norm,
+            "critic/gradient_norm": critic_norm,
+            "policy/gradient_norm": actor_norm,
         }
 
     def _improve_actors(self, observations: Tensor, active: NDArray[np.bool_]) -> Tensor:

@@ -29,7 +29,7 @@ from headway_algos.recipes.madqn import MADQNConfig
 class QLearning:
     """Networks Q(o, .) and their target networks; a `headway_algos.off_policy.learner.Method`."""
 
-    METRICS: ClassVar[tuple[str, ...]] = ("critic/loss", "critic/value", "critic/grad_norm")
+    METRICS: ClassVar[tuple[str, ...]] = ("critic/loss", "critic/value", "critic/gradient_norm")
 
     def __init__(
         self, config: MADQNConfig, spec: EnvSpec, seeds: Sequence[int], policies: int, device: torch.device
@@ -62,7 +62,7 @@ class QLearning:
         norm = self.optimiser.step(active)
         self.target.follow(active, self.optimiser.counts)
         value = mean_over_batch(values, active)
-        return {"critic/loss": loss.detach(), "critic/value": value.detach(), "critic/grad_norm": norm}
+        return {"critic/loss": loss.detach(), "critic/value": value.detach(), "critic/gradient_norm": norm}
 
     def anneal(self, share: float) -> None:
         """Set the learning rate to `share` of its configured value."""

@@ -15,7 +15,7 @@ from headway.contracts.acting_policy import Parameters
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
-from headway_algos.on_policy.updates.config import StepConfig
+from headway_algos.on_policy.updates.config import GradientUpdateConfig
 from headway_algos.on_policy.updates.gradient_update import GradientUpdate
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.recipes.a3c import A3CConfig
@@ -86,7 +86,7 @@ class A2CContributor:
     It updates a local copy of the learner, which the next published parameters replace.
     """
 
-    def __init__(self, config: StepConfig, spec: EnvSpec, seeds: Sequence[int]) -> None:
+    def __init__(self, config: GradientUpdateConfig, spec: EnvSpec, seeds: Sequence[int]) -> None:
         torch.set_num_threads(1)
         _return_large_blocks()
         self.learner = OnPolicyLearner(replace(config, grad_clip=None), spec, seeds, "cpu")

@@ -1,6 +1,7 @@
 """Minibatch training with compiled kernels: multilayer perceptrons in float32 on a CPU.
 
-The losses of policies are in `on_policy.updates.compiled_losses`, the regression of critics is here.
+The losses of policies are in `on_policy.updates.compiled_losses`, the regression of critics is in
+`on_policy.critics.compiled_regression`.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -84,29 +85,3 @@ def flat(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
         return like
     array: NDArray[Any] = np.ascontiguousarray(rows.detach().numpy(), dtype=like.dtype)
     return array.reshape(-1, *array.shape[2:])
-
-
-def regression(
-    network: Network,
-    optimiser: StackedAdam,
-    inputs: Tensor,
-    taken: Tensor | None,
-    targets: Tensor,
-    value_clip: float | None,
-) -> Descent | None:
-    """Return the compiled steps down `squared_error`, or None if torch is to be used.
-
-    Arguments are inputs (P, B, D), the index (P, B) of the trained output (None with one output) and targets
-    (P, B). The steps report the loss.
-    """
-    networks = perceptrons_of(network, optimiser)
-    if networks is None:
-        return None
-    from headway_algos import kernels
-
-    numbers = np.empty(0, np.float32)
-    bound = float("inf") if value_clip is None else float(value_clip)
-    data = kernels.Targets(
-        flat(inputs, numbers), flat(taken, np.empty(0, np.int64)), flat(targets, numbers), bound
-    )
-    return descent(kernels.descend_returns, networks, optimiser, (data,), 1)

@@ -280,7 +280,7 @@ def test_a_dimension_whose_bounds_are_equal_changes_nothing(value: float) -> Non
     for _ in range(3):
         got = method.learn(replace(narrow_batch, actions=actions), ALL)
         expected = narrow.learn(narrow_batch, ALL)
-        for name in ("critic/loss", "critic/value", "policy/grad_norm"):
+        for name in ("critic/loss", "critic/value", "policy/gradient_norm"):
             torch.testing.assert_close(got[name], expected[name], rtol=1e-9, atol=1e-9)
     again = _without(method, BOX, 1)
     for mine, theirs in ((again.network, narrow.network), (again.critic, narrow.critic)):

@@ -21,13 +21,14 @@ from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.networks.network import make_network
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.networks.timeline import Timeline
+from headway_algos.on_policy.critics.compiled_regression import compiled_regression
 from headway_algos.on_policy.critics.config import CriticConfig, KFACCriticConfig
 from headway_algos.on_policy.critics.critic_inputs import CriticInputs
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.reward_streams import presence, stream_begins
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.config import AdamConfig
-from headway_algos.optim.fast_path import Descent, regression
+from headway_algos.optim.fast_path import Descent
 from headway_algos.optim.gradient_steps import gradient_steps
 from headway_algos.optim.kfac_regression import KFACRegression
 
@@ -151,7 +152,7 @@ class ReturnRegression:
         descend: Descent | None = None
         if isinstance(self.optimiser, StackedAdam):
             network, optimiser = self.networks.network, self.optimiser
-            descend = regression(
+            descend = compiled_regression(
                 network, optimiser, estimate.inputs, estimate.taken, targets, config.value_clip
             )
         if descend is not None:

@@ -20,32 +20,27 @@ class EntropyConfig(AlgoConfig):
 
 
 @dataclass(frozen=True)
-class StepConfig(EntropyConfig, AdamConfig):
-    """One gradient step of the actor on the whole batch, such as A2C's."""
+class GradientUpdateConfig(EntropyConfig, AdamConfig):
+    """Gradient steps of Adam on a policy loss: what `GradientUpdate` reads."""
 
 
 @dataclass(frozen=True)
-class OneStepConfig(EntropyConfig):
-    """One step of policies per iteration, and of the critic: A2C's and K-FAC's."""
+class SingleStepConfig(EntropyConfig):
+    """One step of policies per iteration, and usually of the critic: A2C's and K-FAC's."""
 
     epochs: int = 1
     """Passes of the critic over an iteration's batch; the actor takes one step on the whole batch."""
     minibatches: int = 1
     """Minibatches per pass of the critic; 1: the whole batch."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require(self.epochs >= 1, "epochs must be at least 1")
-        require(self.minibatches >= 1, "minibatches must be at least 1")
-
 
 @dataclass(frozen=True)
-class A2CConfig(OneStepConfig, StepConfig):
+class A2CConfig(SingleStepConfig, GradientUpdateConfig):
     """Advantage actor-critic."""
 
 
 @dataclass(frozen=True)
-class GradientConfig(StepConfig):
+class MinibatchConfig(GradientUpdateConfig):
     """Epochs of minibatch gradient steps, such as PPO's."""
 
     epochs: int = 5
@@ -53,14 +48,9 @@ class GradientConfig(StepConfig):
     minibatches: int = 8
     """Minibatches per pass, of actor and critic; 1: the whole batch."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require(self.epochs >= 1, "epochs must be at least 1")
-        require(self.minibatches >= 1, "minibatches must be at least 1")
-
 
 @dataclass(frozen=True)
-class PPOConfig(GradientConfig):
+class PPOConfig(MinibatchConfig):
     """Proximal policy optimisation."""
 
     clip: float = 0.2

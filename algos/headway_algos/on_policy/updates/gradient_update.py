@@ -14,7 +14,7 @@ from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.sequences import learning_batches
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.compiled_losses import compiled_loss
-from headway_algos.on_policy.updates.config import PPOConfig, StepConfig
+from headway_algos.on_policy.updates.config import GradientUpdateConfig, PPOConfig
 from headway_algos.on_policy.updates.kl_penalty import KLPenalty, OldPolicies
 from headway_algos.on_policy.updates.losses import A2CLoss, Minibatch, PolicyLoss, PPOLoss, checked_loss
 from headway_algos.optim.adam import StackedAdam
@@ -27,7 +27,7 @@ class GradientUpdate:
     def __init__(
         self,
         actor: Actor,
-        config: StepConfig,
+        config: GradientUpdateConfig,
         layout: Layout,
         loss: PolicyLoss,
         epochs: int = 1,
@@ -115,6 +115,6 @@ def ppo_update(actor: Actor, config: PPOConfig, layout: Layout) -> GradientUpdat
     return GradientUpdate(actor, config, layout, loss, config.epochs, config.minibatches, penalty)
 
 
-def a2c_update(actor: Actor, config: StepConfig, layout: Layout) -> GradientUpdate:
+def a2c_update(actor: Actor, config: GradientUpdateConfig, layout: Layout) -> GradientUpdate:
     """Return A2C: one step over an iteration's rows."""
     return GradientUpdate(actor, config, layout, A2CLoss(config.entropy_coeff))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from headway.contracts.checks import require
 from headway_algos.config import AlgoConfig
-from headway_algos.on_policy.updates.config import EntropyConfig, OneStepConfig
+from headway_algos.on_policy.updates.config import EntropyConfig, SingleStepConfig
 from headway_algos.optim.config import ETA_MAX, KroneckerConfig
 
 
@@ -44,7 +44,7 @@ class TRPOConfig(EntropyConfig):
 
 
 @dataclass(frozen=True)
-class KFACConfig(OneStepConfig, KroneckerConfig):
+class KFACConfig(SingleStepConfig, KroneckerConfig):
     """ACKTR's natural-gradient step."""
 
     lr: float = ETA_MAX
