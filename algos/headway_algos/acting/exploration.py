@@ -34,7 +34,8 @@ class ExploringStack:
     def exploration(self, parameters: Parameters, copies: int) -> NDArray[np.float64]:
         """Return the exploration of each agent's policy, (C, N)."""
         policies = self.flat.grouping.policies(copies, self.flat.replicas(parameters))
-        return parameters["exploration"].astype(np.float64)[policies, 0, 0]
+        by_policy: NDArray[np.float64] = parameters["exploration"].astype(np.float64)[:, 0, 0]
+        return by_policy[policies]
 
 
 @dataclass(frozen=True)

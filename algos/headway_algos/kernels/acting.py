@@ -87,7 +87,6 @@ def _layer_of_dtype(weight: Floats, bias: Floats, x: Floats, n: int, activation:
     raise NotImplementedError
 
 
-@overload(_layer_of_dtype, strict=False)
 def _choose_layer(weight: Any, bias: Any, x: Any, n: Any, activation: Any, y: Any) -> Any:  # noqa: ANN401
     chosen = _layer if weight.dtype == types.float32 else _layer_in_float64
 
@@ -95,6 +94,9 @@ def _choose_layer(weight: Any, bias: Any, x: Any, n: Any, activation: Any, y: An
         chosen(weight, bias, x, n, activation, y)
 
     return apply
+
+
+overload(_layer_of_dtype, strict=False)(_choose_layer)
 
 
 @compiled

@@ -122,17 +122,18 @@ def _outer_tile(columns: int) -> Untyped:
 
 def _four_totals(builder: Untyped, vectors: list[Untyped]) -> Untyped:
     """Return a vector of the totals of four vectors."""
-    width = LANES
+    even = [q + lane for q in range(0, LANES, 4) for lane in (0, 2, LANES, LANES + 2)]
+    while len(vectors) > 1:  # add neighbours within four lanes, so that two vectors become one
+        vectors = [
+            builder.fadd(*(_shuffled(builder, u, v, [lane + k for lane in even]) for k in (0, 1)))
+            for u, v in zip(vectors[::2], vectors[1::2], strict=True)
+        ]
+    total, width = vectors[0], LANES
     while width > 4:
         width //= 2
-        halves = ([_shuffled(builder, v, v, range(k, k + width)) for k in (0, width)] for v in vectors)
-        vectors = [builder.fadd(low, high) for low, high in halves]
-    while len(vectors) > 1:
-        pairs = zip(vectors[::2], vectors[1::2], strict=True)
-        vectors = [
-            builder.fadd(*(_shuffled(builder, u, v, range(k, 8, 2)) for k in (0, 1))) for u, v in pairs
-        ]
-    return vectors[0]
+        low, high = (_shuffled(builder, total, total, range(k, k + width)) for k in (0, width))
+        total = builder.fadd(low, high)
+    return total
 
 
 _product_4x3, _product_4x2, _product_4x1, _product_1x3, _product_1x2, _product_1x1 = (
