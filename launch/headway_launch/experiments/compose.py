@@ -331,6 +331,8 @@ def _hydra_override(override: str, overrides: Sequence[str]) -> str:
     if parts is None:
         raise HeadwayError(f"{override!r} is not an override; write key=value{_experiment_hint(override)}")
     prefix, key, value = parts["prefix"], parts["key"].strip(), parts["value"]
+    if key == "algo.name":
+        raise HeadwayError(f"{override}: algo.name follows from the choice of algo; write algo={value}")
     if key == "seed":
         return f"++seed=[{','.join(str(seed) for seed in parse_seeds(value))}]"
     if prefix:

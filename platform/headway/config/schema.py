@@ -96,7 +96,11 @@ def build(
         return record_class(**values)
     except ValueError as error:
         message = str(error)
-        begins_with_key = message.split(" ", 1)[0].strip(":,").split(".")[0] in fields
+        named = message.split(" ", 1)[0].strip(":,")
+        begins_with_key = named.split(".")[0] in fields
+        given = values.get(named)
+        if isinstance(given, int | float) and " must be " in message and " not " not in message:
+            message = f"{message}, not {_show(given)}"
         separator = "." if begins_with_key else ": "
         raise HeadwayError(f"{path}{separator}{message}" if path else message) from error
 

@@ -148,10 +148,10 @@ def check_country(country: str) -> None:
         return
     names = {str(entry.get("country_name", "")).lower(): code for code, entry in codes.items()}
     named = names.get(country.lower()) or (country.upper() if country.upper() in codes else None)
-    nearest = [named] if named else get_close_matches(country.upper(), codes, n=1, cutoff=0.0)
+    near = named or next(iter(get_close_matches(country.upper(), codes, n=1)), None)
+    hint = f"did you mean {near}?" if near else "write its ISO 3166-1 alpha-3 code, such as DEU, or null"
     raise HeadwayError(
-        f"energy.country {country!r} is not the three-letter code of a country with a known energy mix: "
-        f"did you mean {nearest[0]}?"
+        f"energy.country {country!r} is no three-letter code of a country with a known energy mix; {hint}"
     )
 
 

@@ -121,7 +121,7 @@ def test_a_missing_key_without_default_is_named() -> None:
 def test_impossible_values_of_platform_keys_are_one_line_errors() -> None:
     with pytest.raises(HeadwayError, match=r"^rollout\.block 3 must divide copies 8$"):
         build(ExperimentConfig, {"rollout": {"block": 3}})
-    with pytest.raises(HeadwayError, match=r"^env_steps must be at least 1$"):
+    with pytest.raises(HeadwayError, match=r"^env_steps must be at least 1, not 0$"):
         build(ExperimentConfig, {"env_steps": 0})
     with pytest.raises(HeadwayError, match=r"backend\.name='slurm' is not possible"):
         build(BackendConfig, {"name": "slurm"}, "backend")

@@ -112,6 +112,8 @@ def test_a_country_without_data_is_named() -> None:
         EnergyMeter.start(EnergyConfig(country="BRAZ"))
     with pytest.raises(HeadwayError, match="did you mean PRT"):
         EnergyMeter.start(EnergyConfig(country="Portugal"))
+    with pytest.raises(HeadwayError, match="write its ISO 3166-1 alpha-3 code"):
+        EnergyMeter.start(EnergyConfig(country="7"))
 
 
 def test_without_a_country_energy_is_known_and_its_co2_is_not() -> None:
