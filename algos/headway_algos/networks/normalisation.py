@@ -1,6 +1,7 @@
 """Running means and standard deviations, one set per network of a stack."""
 
 from math import inf
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,18 +18,24 @@ class RunningStatistics(nn.Module):
     Combined by the parallel formula of Chan, Golub and LeVeque (1979). The mean starts at 0; the variance is
     1 until two rows have been included. Stored as buffers, so that checkpoints contain them.
 
-    When a batch is included, all earlier ones together weigh at most as much as `memory` rows or as `batches`
-    like the new one, whichever is more: old batches are forgotten exponentially.
+    When a batch is included, all earlier ones together weigh at most as much as `memory` rows, as `batches`
+    like the new one or as the `share` of all rows so far, whichever is most: old batches are forgotten.
     """
 
     count: Tensor
+    """(P, 1, 1): total weight."""
+    rows: Tensor
+    """(P, 1, 1): number of rows so far."""
     mean: Tensor
     variance: Tensor
 
-    def __init__(self, stack: int, size: int, memory: float = inf, batches: float = 0.0) -> None:
+    def __init__(
+        self, stack: int, size: int, memory: float = inf, batches: float = 0.0, share: float = 0.0
+    ) -> None:
         super().__init__()
-        self.memory, self.batches = memory, batches
+        self.memory, self.batches, self.share = memory, batches, share
         self.register_buffer("count", torch.zeros(stack, 1, 1, dtype=torch.float64))
+        self.register_buffer("rows", torch.zeros(stack, 1, 1, dtype=torch.float64), persistent=share > 0)
         self.register_buffer("mean", torch.zeros(stack, 1, size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(stack, 1, size, dtype=torch.float64))
         self.latest: tuple[Tensor, Tensor, Tensor] | None = None
@@ -49,7 +56,8 @@ class RunningStatistics(nn.Module):
 
     def add(self, count: Tensor, mean: Tensor, squares: Tensor) -> None:
         """Include a batch, given its count (P, 1, 1), mean and sum of squared deviations (P, 1, size)."""
-        known = torch.minimum(self.count, (self.batches * count).clamp(min=self.memory))
+        bound = torch.maximum(self.batches * count, self.share * self.rows).clamp(min=self.memory)
+        known = torch.minimum(self.count, bound)
         total = known + count
         share = count / total.clamp(min=1)
         shift = mean - self.mean
@@ -57,7 +65,13 @@ class RunningStatistics(nn.Module):
         new_squares = old_squares + squares + shift**2 * known * share
         self.mean += shift * share
         self.variance = torch.where(total > 1, new_squares / total.clamp(min=1), self.variance)
-        self.count = total
+        self.count, self.rows = total, self.rows + count
+
+    def _load_from_state_dict(self, state: dict[str, Any], prefix: str, *more: Any) -> None:  # noqa: ANN401
+        """Take the weight for the number of rows where an earlier version stored no number."""
+        if self.share > 0:
+            state.setdefault(f"{prefix}rows", state[f"{prefix}count"])
+        super()._load_from_state_dict(state, prefix, *more)
 
     def normalised(self, rows: Tensor) -> Tensor:
         """Return rows (P, B, size), standardised and clipped to [-10, 10], in their own dtype."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from headway.contracts import Discrete, EnvSpec, Trajectory
 from headway_algos.config import ModelConfig
 from headway_algos.networks.normalisation import RunningStatistics
-from headway_algos.on_policy.critics.return_regression import RETURN_BATCHES, RETURN_MEMORY
+from headway_algos.on_policy.critics.return_regression import RETURN_BATCHES, RETURN_MEMORY, RETURN_SHARE
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.registry import configure
 
@@ -29,17 +29,20 @@ def _batches(networks: int) -> list[tuple[torch.Tensor, NDArray[np.bool_]]]:
     return made
 
 
-@pytest.mark.parametrize(("memory", "batches"), [(10.0, 0.0), (50.0, 0.0), (10.0, 1.5), (np.inf, 0.0)])
-def test_rows_weigh_less_with_every_batch(memory: float, batches: float) -> None:
-    """Rows that outweigh both bounds are scaled to the larger one."""
-    moments = RunningStatistics(3, 2, memory, batches)
+@pytest.mark.parametrize(
+    ("memory", "batches", "share"),
+    [(10.0, 0.0, 0.0), (50.0, 0.0, 0.0), (10.0, 1.5, 0.0), (10.0, 0.1, 0.5), (np.inf, 0.0, 0.0)],
+)
+def test_rows_weigh_less_with_every_batch(memory: float, batches: float, share: float) -> None:
+    """Rows that outweigh all bounds are scaled to the largest one."""
+    moments = RunningStatistics(3, 2, memory, batches, share)
     rows: list[NDArray[Any]] = [np.empty((0, 2)) for _ in range(3)]
     weights: list[NDArray[Any]] = [np.empty(0) for _ in range(3)]
     for batch, selected in _batches(3):
         moments.include(batch, selected)
         for p in range(3):
             own = batch[p].numpy()[selected[p]]
-            bound = max(memory, batches * len(own))
+            bound = max(memory, batches * len(own), share * len(rows[p]))
             before = weights[p] * min(1.0, bound / max(weights[p].sum(), 1.0))
             rows[p], weights[p] = np.concatenate([rows[p], own]), np.append(before, np.ones(len(own)))
             mean = np.average(rows[p], axis=0, weights=weights[p])
@@ -50,15 +53,27 @@ def test_rows_weigh_less_with_every_batch(memory: float, batches: float) -> None
 
 def test_statistics_follow_what_has_shrunk() -> None:
     """After 30 batches a tenth as large as the first, within 10%."""
-    moments = RunningStatistics(1, 1, RETURN_MEMORY, RETURN_BATCHES)
+    moments = RunningStatistics(1, 1, RETURN_MEMORY, RETURN_BATCHES, RETURN_SHARE)
     draw = np.random.default_rng(1)
     for scale in [10.0] + [1.0] * 30:
         moments.include(torch.from_numpy(scale * draw.normal(size=(1, 4096, 1))))
     assert float(moments.std[0, 0, 0]) == pytest.approx(1, rel=0.1)
 
 
+def test_statistics_cover_a_day_of_short_batches() -> None:
+    """Returns follow the time of day, with 20 batches per day. After 30 days, mean and deviation are those of
+    whole days, not of the last hours."""
+    moments = RunningStatistics(1, 1, RETURN_MEMORY, RETURN_BATCHES, RETURN_SHARE)
+    for batch in range(2000):
+        level = 10 * np.sin(2 * np.pi * batch / 20)
+        moments.include(torch.full((1, 2000, 1), level, dtype=torch.float64))
+        if batch > 600:
+            assert abs(float(moments.mean[0, 0, 0])) < 2.5
+            assert float(moments.std[0, 0, 0]) == pytest.approx(10 / np.sqrt(2), rel=0.1)
+
+
 def test_statistics_stored_with_equal_weights_are_restored_and_then_forgotten() -> None:
-    old, new = RunningStatistics(1, 1), RunningStatistics(1, 1, 1000.0)
+    old, new = RunningStatistics(1, 1), RunningStatistics(1, 1, 1000.0, share=0.1)
     old.include(
         torch.full((1, 100_000, 1), 7.0, dtype=torch.float64) + torch.arange(100_000)[None, :, None] % 2
     )
@@ -68,7 +83,7 @@ def test_statistics_stored_with_equal_weights_are_restored_and_then_forgotten() 
     new.load_state_dict(torch.load(file, weights_only=True))
     assert torch.equal(new.mean, old.mean)
     assert torch.equal(new.std, old.std)
-    for _ in range(10):
+    for _ in range(60):
         new.include(torch.zeros(1, 4000, 1, dtype=torch.float64))
     assert abs(float(new.mean[0, 0, 0])) < 0.01
 

@@ -32,12 +32,13 @@ from headway_algos.optim.fast_path import Descent
 from headway_algos.optim.gradient_steps import gradient_steps
 from headway_algos.optim.kfac_regression import KFACRegression
 
-RETURN_MEMORY, RETURN_BATCHES = 1000.0, 5.0
-"""Maximum total weight of all earlier batches in the statistics by which returns are normalised: in rows, and
-in batches like the new one, whichever is more.
+RETURN_MEMORY, RETURN_BATCHES, RETURN_SHARE = 1000.0, 5.0, 0.1
+"""Maximum total weight of all earlier batches in the statistics by which returns are normalised: in rows, in
+batches like the new one, and as a share of all rows so far, whichever is most.
 
 Returns change as policies learn. With equal weights, large early returns would dominate the scale for the
-rest of training; if only the last batch counted, the values learned so far would change with its scale."""
+rest of training; if only the last batch counted, the values learned so far would change with its scale, and
+with the time of day where a batch is a short part of an episode."""
 
 
 class ReturnNetworks(nn.Module):
@@ -54,7 +55,9 @@ class ReturnNetworks(nn.Module):
         self.carried: NDArray[Any] | None = None
         """(C, W, M): hidden states of recurrent networks after the last trajectory."""
         self.input_moments = RunningStatistics(len(seeds) * networks, view.feature_size)
-        self.return_moments = RunningStatistics(len(seeds) * networks, 1, RETURN_MEMORY, RETURN_BATCHES)
+        self.return_moments = RunningStatistics(
+            len(seeds) * networks, 1, RETURN_MEMORY, RETURN_BATCHES, RETURN_SHARE
+        )
         self.to(layout.device)
 
     def inputs(self, features: Tensor, indicators: Tensor | None) -> Tensor:
