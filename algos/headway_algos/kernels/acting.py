@@ -83,11 +83,14 @@ def _layer_in_float64(weight: Floats, bias: Floats, x: Floats, n: int, activatio
 
 
 def _layer_of_dtype(weight: Floats, bias: Floats, x: Floats, n: int, activation: int, y: Floats) -> None:
-    """Call `_layer` or `_layer_in_float64`, depending on the dtype; in compiled code only."""
-    raise NotImplementedError
+    """Call `_layer` or `_layer_in_float64`, depending on the dtype.
+
+    Exists in compiled code only, where `_choose_layer` replaces it.
+    """
+    raise TypeError("_layer_of_dtype can be called by compiled code only")
 
 
-def _choose_layer(weight: Any, bias: Any, x: Any, n: Any, activation: Any, y: Any) -> Any:  # noqa: ANN401
+def _choose_layer(weight: Any, bias: Any, x: Any, n: Any, activation: Any, y: Any) -> Any:  # noqa: ANN401 - types of numba
     chosen = _layer if weight.dtype == types.float32 else _layer_in_float64
 
     def apply(weight: Floats, bias: Floats, x: Floats, n: int, activation: int, y: Floats) -> None:
@@ -216,7 +219,7 @@ def choose_gaussian(
             spread = log_std[policies[b], a, 0]
             deviation = math.exp(spread)
             actions[b, a] = means[b, a] + (0.0 if greedy else deviation * normals[b, a])
-            # Of the action as stored in float32, which is what the learner sees.
+            # The density is that of the action as stored in float32, which is what the learner sees.
             standard = (actions[b, a] - means[b, a]) / deviation
             total -= 0.5 * standard * standard + spread + _HALF_LOG_2_PI
         log_probs[b] = total
