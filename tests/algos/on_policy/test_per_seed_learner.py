@@ -142,7 +142,7 @@ def test_a_seed_learns_the_same_in_any_stack(
 
 @pytest.mark.parametrize("name", ["itrpo", "maacktr"])
 def test_products_over_several_seeds_would_be_detected(fabricate: Fabricate, name: str) -> None:
-    """The same comparison fails for a learner that stacks seeds, as it does on a GPU.
+    """A learner that stacks seeds, as on a GPU, differs from one seed alone, so the test of stacks can fail.
 
     Only natural gradients use products of torch, which may depend on the stack.
     """

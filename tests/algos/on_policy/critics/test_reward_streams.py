@@ -155,7 +155,10 @@ def _left(
 
 
 def _away(spec: EnvSpec, seed: int, steps: int) -> Trajectory:
-    """As above for ever, but no agent leaves: each is away for some time now and then, c too."""
+    """The team is paid PAY per step; no agent leaves, but each is away at 6 steps in 10, at random.
+
+    The episode lasts beyond the trajectory.
+    """
     made = _left(spec, seed, steps, chance=0)
     made.alive[:] = np.random.default_rng(seed).random(made.alive.shape) < 0.4
     made.alive[-1, 0] = False
