@@ -50,9 +50,9 @@ LAYERS = {
         "contracts",
     ),
     "headway_algos": (
+        "recipes",
         "on_policy",
         "off_policy",
-        "recipes",
         "optim",
         "batches",
         "networks",

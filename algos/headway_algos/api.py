@@ -11,7 +11,7 @@ from headway_algos.components import Component
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.on_policy.critics.config import CriticConfig
 from headway_algos.on_policy.updates.config import GradientUpdateConfig, MinibatchConfig
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 from headway_algos.registry import ENTRIES, configure, entry
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ from headway_algos.components import KINDS, component, names
 from headway_algos.config import AlgoConfig
 from headway_algos.migration import OBSOLETE_KEYS, without_effect
 from headway_algos.on_policy.critics.config import CriticConfig
-from headway_algos.recipe import Recipe
-from headway_algos.recipes import recipes
+from headway_algos.recipes import Recipe, recipes
 
 USUAL = {"critic": "local", "update": "ppo", "critic_update": "adam", "order": "simultaneous"}
 """Components of `algo=custom` unless others are chosen."""

@@ -9,9 +9,8 @@ from headway_algos import records
 from headway_algos.acting.policy import acting_policy
 from headway_algos.agent_id import impossible_ids
 from headway_algos.config import AlgoConfig, SimultaneousConfig
-from headway_algos.off_policy.entries import replay_entry
-from headway_algos.recipe import Recipe
-from headway_algos.recipes import recipes
+from headway_algos.off_policy_entry import replay_entry
+from headway_algos.recipes import Recipe, recipes
 
 KERNELS = ("headway_algos.kernels",)
 """Modules of compiled kernels. Every algorithm uses at least Adam's."""

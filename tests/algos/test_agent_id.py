@@ -12,8 +12,8 @@ from headway.contracts import Box, Discrete, EnvSpec, Observations, Trajectory
 from headway.contracts.acting_policy import RecurrentPolicy, hidden_size
 from headway_algos.agent_id import MAX_AGENTS, agent_ids
 from headway_algos.config import AlgoConfig
-from headway_algos.recipes.madqn import MADQNConfig
 from headway_algos.registry import ENTRIES, configure
+from headway_algos.replay_config import MADQNConfig
 
 AGENTS = ("a", "b", "c")
 SPEC = EnvSpec("made", AGENTS, 4, Discrete(3), has_action_mask=True)

@@ -14,8 +14,7 @@ from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
 from headway_algos.components import CRITIC_UPDATES, CRITICS, ORDERS, UPDATES
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.optim.config import KroneckerConfig
-from headway_algos.recipe import Recipe
-from headway_algos.recipes import recipes
+from headway_algos.recipes import Recipe, recipes
 from headway_algos.registry import ENTRIES, configure
 
 Fabricate = Callable[..., Trajectory]

@@ -15,25 +15,25 @@ Shapes = dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
 
 
 @dataclass(frozen=True)
-class ExploringStack:
+class ExploringNetworks:
     """P stacked networks, and the current exploration of each policy."""
 
-    flat: MLPActingPolicy
+    perceptron: MLPActingPolicy
 
     def parameter_shapes(self, replicas: int) -> Shapes:
         """Return the shapes of the networks' parameters and of `exploration` (P, 1, 1)."""
-        shapes = self.flat.parameter_shapes(replicas)
+        shapes = self.perceptron.parameter_shapes(replicas)
         shapes.pop("log_std", None)
-        stack = replicas * self.flat.grouping.num_policies
-        return shapes | {"exploration": ((stack, 1, 1), np.dtype(self.flat.precision))}
+        stack = replicas * self.perceptron.grouping.num_policies
+        return shapes | {"exploration": ((stack, 1, 1), np.dtype(self.perceptron.precision))}
 
     def outputs(self, parameters: Parameters, observed: Observations) -> NDArray[Any]:
         """Return the network outputs of each agent, (C, N, A); 0 if it is not alive."""
-        return self.flat.outputs(parameters, observed)
+        return self.perceptron.outputs(parameters, observed)
 
     def exploration(self, parameters: Parameters, copies: int) -> NDArray[np.float64]:
         """Return the exploration of each agent's policy, (C, N)."""
-        policies = self.flat.grouping.policies(copies, self.flat.replicas(parameters))
+        policies = self.perceptron.grouping.policies(copies, self.perceptron.replicas(parameters))
         by_policy: NDArray[np.float64] = parameters["exploration"].astype(np.float64)[:, 0, 0]
         return by_policy[policies]
 
@@ -44,31 +44,31 @@ class EpsilonGreedyPolicy:
 
     any_block: ClassVar[bool] = True
 
-    stack: ExploringStack
+    networks: ExploringNetworks
 
     @classmethod
     def of(cls, config: ReplayConfig, spec: EnvSpec) -> "EpsilonGreedyPolicy":
         """Return the policy of an algorithm's config for an environment."""
-        return cls(ExploringStack(MLPActingPolicy.of(config, spec)))
+        return cls(ExploringNetworks(MLPActingPolicy.of(config, spec)))
 
     def parameter_shapes(self, replicas: int) -> Shapes:
         """Return the shapes of the networks' parameters and of `exploration`, which is epsilon."""
-        return self.stack.parameter_shapes(replicas)
+        return self.networks.parameter_shapes(replicas)
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
         """Draw uniforms (T, N, 2): one decides whether to explore, the other which action."""
-        return generator.random((steps, self.stack.flat.spec.num_agents, 2))
+        return generator.random((steps, self.networks.perceptron.spec.num_agents, 2))
 
     def act(
         self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Implement `headway.contracts.ActingPolicy.act`. Agents not alive get any action."""
-        values = self.stack.outputs(parameters, observed)
+        values = self.networks.outputs(parameters, observed)
         allowed = np.ones(values.shape, np.bool_)
         if observed.action_masks is not None:
             allowed = observed.action_masks | ~observed.alive[..., None]
         best: NDArray[np.int64] = np.where(allowed, values, -np.inf).argmax(axis=-1)
-        epsilon = self.stack.exploration(parameters, len(values))
+        epsilon = self.networks.exploration(parameters, len(values))
         choices = allowed.sum(axis=-1)
         actions = best
         if noise is not None:
@@ -90,14 +90,14 @@ class OrnsteinUhlenbeckPolicy:
 
     any_block: ClassVar[bool] = True
 
-    stack: ExploringStack
+    networks: ExploringNetworks
     theta: float
     sigma: float
 
     @classmethod
     def of(cls, config: ReplayConfig, spec: EnvSpec, theta: float, sigma: float) -> "OrnsteinUhlenbeckPolicy":
         """Return the policy of an algorithm's config for an environment with bounded Box actions."""
-        return cls(ExploringStack(MLPActingPolicy.of(config, spec)), theta, sigma)
+        return cls(ExploringNetworks(MLPActingPolicy.of(config, spec)), theta, sigma)
 
     @property
     def hidden_size(self) -> int:
@@ -111,17 +111,17 @@ class OrnsteinUhlenbeckPolicy:
 
     @property
     def _box(self) -> Box:
-        space = self.stack.flat.spec.action_space
+        space = self.networks.perceptron.spec.action_space
         assert isinstance(space, Box)
         return space
 
     def parameter_shapes(self, replicas: int) -> Shapes:
         """Return the shapes of the networks' parameters and of `exploration`, the scale of the noise."""
-        return self.stack.parameter_shapes(replicas)
+        return self.networks.parameter_shapes(replicas)
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
         """Draw standard normals (T, N, A)."""
-        return generator.standard_normal((steps, self.stack.flat.spec.num_agents, self.hidden_size))
+        return generator.standard_normal((steps, self.networks.perceptron.spec.num_agents, self.hidden_size))
 
     def act(
         self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
@@ -143,9 +143,9 @@ class OrnsteinUhlenbeckPolicy:
         policy has no density.
         """
         low, high = np.array(self._box.low), np.array(self._box.high)
-        chosen = np.tanh(self.stack.outputs(parameters, observed))
+        chosen = np.tanh(self.networks.outputs(parameters, observed))
         if noise is not None:
-            scale = self.stack.exploration(parameters, len(chosen))
+            scale = self.networks.exploration(parameters, len(chosen))
             moved = (1 - self.theta) * hidden_states + self.sigma * noise
             hidden_states = np.where(observed.alive[..., None], moved, hidden_states)
             chosen = chosen + scale[..., None] * hidden_states

@@ -44,7 +44,7 @@ class GRUActingPolicy:
 
     any_block: ClassVar[bool] = True
 
-    flat: MLPActingPolicy
+    perceptron: MLPActingPolicy
     """Normalisation, hidden layers, output layer and action distribution."""
     hidden_size: int
     """M: number of units."""
@@ -52,25 +52,27 @@ class GRUActingPolicy:
     @property
     def hidden_dtype(self) -> np.dtype[Any]:
         """Dtype of hidden states: the dtype of the parameters."""
-        return np.dtype(self.flat.precision)
+        return np.dtype(self.perceptron.precision)
 
     def parameter_shapes(self, replicas: int) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
         """Return the shapes of the feedforward layers and of the recurrent units."""
-        flat, size = self.flat, self.hidden_size
-        stack = replicas * flat.grouping.num_policies
-        input_size = flat.hidden[-1] if flat.hidden else flat.input_size
+        perceptron, size = self.perceptron, self.hidden_size
+        stack = replicas * perceptron.grouping.num_policies
+        input_size = perceptron.hidden[-1] if perceptron.hidden else perceptron.input_size
         shapes = {
-            f"weight_{len(flat.hidden)}": (stack, actor_outputs(flat.spec), size),
+            f"weight_{len(perceptron.hidden)}": (stack, actor_outputs(perceptron.spec), size),
             "gru_weight_input": (stack, 3 * size, input_size),
             "gru_weight_memory": (stack, 3 * size, size),
             "gru_bias_input": (stack, 3 * size, 1),
             "gru_bias_memory": (stack, size, 1),
         }
-        return flat.parameter_shapes(replicas) | {name: (s, self.hidden_dtype) for name, s in shapes.items()}
+        return perceptron.parameter_shapes(replicas) | {
+            name: (s, self.hidden_dtype) for name, s in shapes.items()
+        }
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
         """Draw the random numbers of `MLPActingPolicy.noise`."""
-        return self.flat.noise(generator, steps)
+        return self.perceptron.noise(generator, steps)
 
     def act(
         self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
@@ -87,15 +89,15 @@ class GRUActingPolicy:
         noise: NDArray[np.float64] | None,
     ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
         """Implement `headway.contracts.RecurrentPolicy.act_from`. Actions of agents not alive are 0."""
-        flat, alive, last = self.flat, observed.alive, len(self.flat.hidden)
+        perceptron, alive, last = self.perceptron, observed.alive, len(self.perceptron.hidden)
         gates = parameters["gru_weight_input"], parameters["gru_bias_input"]
-        inputs = flat.evaluate(parameters, observed, [*flat.layers(parameters, last), gates])
+        inputs = perceptron.evaluate(parameters, observed, [*perceptron.layers(parameters, last), gates])
         weight, bias = parameters["gru_weight_memory"], parameters["gru_bias_memory"]
         no_bias = np.zeros((*weight.shape[:2], 1), self.hidden_dtype)
-        products = evaluate_live(hidden_states, alive, flat.grouping, [(weight, no_bias)])
-        policies = flat.grouping.policies(len(alive), flat.replicas(parameters))
+        products = evaluate_live(hidden_states, alive, perceptron.grouping, [(weight, no_bias)])
+        policies = perceptron.grouping.policies(len(alive), perceptron.replicas(parameters))
         after = gated_step(inputs, products, hidden_states, bias[policies, :, 0])
         output = parameters[f"weight_{last}"], parameters[f"bias_{last}"]
-        outputs = evaluate_live(after, alive, flat.grouping, [output])
-        actions, log_probs = flat.choose_actions(parameters, observed, outputs, noise)
+        outputs = evaluate_live(after, alive, perceptron.grouping, [output])
+        actions, log_probs = perceptron.choose_actions(parameters, observed, outputs, noise)
         return actions, log_probs, np.where(alive[..., None], after, hidden_states)

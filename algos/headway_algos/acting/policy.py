@@ -8,5 +8,5 @@ from headway_algos.config import AlgoConfig
 
 def acting_policy(config: AlgoConfig, spec: EnvSpec) -> ActingPolicy:
     """Return the acting policy of an on-policy algorithm, with or without recurrence."""
-    flat = MLPActingPolicy.of(config, spec)
-    return flat if config.model.core == "none" else GRUActingPolicy(flat, config.model.gru_size)
+    perceptron = MLPActingPolicy.of(config, spec)
+    return perceptron if config.model.core == "none" else GRUActingPolicy(perceptron, config.model.gru_size)

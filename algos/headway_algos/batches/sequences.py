@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.minibatches import Piece, even_slices, minibatches
+from headway_algos.batches.minibatches import Piece, even_slices
 from headway_algos.networks.timeline import Timeline
 
 
@@ -141,28 +141,3 @@ def over_rows(
             found[piece.index[used]] = values[used.flatten()]
     assert found is not None
     return found.view(*rows.shape[:2], -1)
-
-
-def learning_batches(
-    selected: NDArray[np.bool_],
-    sequences: Sequences | None,
-    generators: Sequence[np.random.Generator],
-    epochs: int,
-    parts: int,
-    piece_samples: int,
-    layout: Layout,
-) -> Iterator[tuple[list[Piece], NDArray[np.bool_]]]:
-    """Yield shuffled minibatches of selected rows (P, B), or of whole sequences that contain such rows.
-
-    See `headway_algos.batches.minibatches.minibatches`. A network with fewer rows (or sequences) than
-    minibatches takes fewer steps.
-    """
-    if sequences is None:
-        yield from minibatches(selected, generators, epochs, parts, piece_samples, layout)
-        return
-    rows = torch.from_numpy(selected).to(layout.device)
-    samples = max(piece_samples // sequences.length, 1)
-    for pieces, active in minibatches(
-        sequences.holding(selected), generators, epochs, parts, samples, layout
-    ):
-        yield sequences.pieces(pieces, rows), active

@@ -18,7 +18,7 @@ from headway_algos.off_policy.target_networks import (
     temporal_difference_target,
 )
 from headway_algos.optim.adam import StackedAdam
-from headway_algos.recipes.ddpg import DDPGConfig
+from headway_algos.replay_config import DDPGConfig
 
 ACTOR_GAIN = 0.01
 """Gain of the actor's last layer, so that initial actions are near mid-range (the paper's section 7)."""

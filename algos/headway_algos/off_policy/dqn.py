@@ -23,7 +23,7 @@ from headway_algos.off_policy.target_networks import (
     temporal_difference_target,
 )
 from headway_algos.optim.adam import StackedAdam
-from headway_algos.recipes.madqn import MADQNConfig
+from headway_algos.replay_config import MADQNConfig
 
 
 class QLearning:

@@ -12,13 +12,13 @@ from torch import Tensor
 
 from headway.contracts import Contribution, EnvSpec, Trajectory
 from headway.contracts.acting_policy import Parameters
+from headway_algos.config import A3CConfig
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.updates.config import GradientUpdateConfig
 from headway_algos.on_policy.updates.gradient_update import GradientUpdate
 from headway_algos.optim.adam import StackedAdam
-from headway_algos.recipes.a3c import A3CConfig
 
 
 @dataclass(frozen=True)

@@ -89,10 +89,10 @@ class StackedAdam:
 
         values, gradient, _, _ = self._arrays
         norms = np.empty(len(active), values.dtype)
-        step_networks(values, gradient, self.compiled(), active, norms)
+        step_networks(values, gradient, self.kernel_state(), active, norms)
         return torch.from_numpy(norms)
 
-    def compiled(self) -> "Adam":
+    def kernel_state(self) -> "Adam":
         """Return state and settings for kernels, which change the state in place."""
         from headway_algos.kernels import Adam
 

@@ -19,9 +19,9 @@ from headway_algos.optim.adam import StackedAdam
 if TYPE_CHECKING:
     from headway_algos.kernels import Perceptrons
 
-Epochs = Iterable[tuple[NDArray[np.int64], NDArray[np.int64]]]
+RowIndices = Iterable[tuple[NDArray[np.int64], NDArray[np.int64]]]
 """Results of `batches.minibatches.shuffled_epochs`."""
-Descent = Callable[[Epochs], tuple[Tensor, Tensor]]
+Descent = Callable[[RowIndices], tuple[Tensor, Tensor]]
 """Takes one step per minibatch; returns means over a network's steps: of the I reported numbers, (I, P), and
 of the gradient's norm, (P,); NaN for a network that took none."""
 
@@ -45,8 +45,8 @@ def perceptrons_in(
 
     `values` and `gradient` (P, V) hold the parameters from the offsets on that `starts` returns.
     """
-    compiled = ENABLED and not values.is_cuda and values.dtype == torch.float32
-    if not compiled or not isinstance(network, StackedMLP):
+    supported = not values.is_cuda and values.dtype == torch.float32
+    if not (ENABLED and supported) or not isinstance(network, StackedMLP):
         return None
     from headway_algos.kernels import perceptrons
 
@@ -63,14 +63,14 @@ def descent(
 ) -> Descent:
     """Return the steps that a kernel takes on `data`, with `reports` numbers per network."""
 
-    def descend(epochs: Epochs) -> tuple[Tensor, Tensor]:
+    def descend(epochs: RowIndices) -> tuple[Tensor, Tensor]:
         from headway_algos.kernels import Minibatches
 
         stack = len(networks.values)
         reported, norms = np.zeros((stack, reports), np.float32), np.zeros(stack, np.float32)
         steps = np.zeros(stack, np.float32)
         for index, sizes in epochs:
-            kernel(networks, optimiser.compiled(), Minibatches(index, sizes), *data, reported, norms)
+            kernel(networks, optimiser.kernel_state(), Minibatches(index, sizes), *data, reported, norms)
             steps += (sizes > 0).sum(axis=0)
         # 0 / 0, where a network took no step, is NaN.
         count = torch.from_numpy(steps)
@@ -79,7 +79,7 @@ def descent(
     return descend
 
 
-def flat(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
+def as_array(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
     """Return rows (P, B, ...) as an array (P B, ...) with the dtype of the empty array `like`, or `like`."""
     if rows is None:
         return like

@@ -26,13 +26,13 @@ FisherProduct = Callable[[Tensor], Tensor]
 """v (P, V) -> F v (P, V)."""
 
 
-def flat(tensors: Iterable[Tensor]) -> Tensor:
+def to_vector(tensors: Iterable[Tensor]) -> Tensor:
     """Concatenate tensors (P, ...) to (P, V)."""
     return torch.cat([tensor.flatten(1) for tensor in tensors], dim=1)
 
 
-def unflat(vector: Tensor, like: Sequence[Tensor]) -> list[Tensor]:
-    """Split a vector (P, V) into views shaped like `like`: the inverse of `flat`."""
+def from_vector(vector: Tensor, like: Sequence[Tensor]) -> list[Tensor]:
+    """Split a vector (P, V) into views shaped like `like`: the inverse of `to_vector`."""
     widths = [tensor[0].numel() for tensor in like]
     parts = torch.split(vector, widths, dim=1)
     return [part.view(len(vector), *t.shape[1:]) for part, t in zip(parts, like, strict=True)]
@@ -48,7 +48,7 @@ def fisher_product(actor: Actor, batch: WholeBatch, piece_samples: int) -> Fishe
 def compiled_gauss_newton(actor: Actor, batch: WholeBatch) -> FisherProduct | None:
     """Return v -> J^T M J v by compiled kernels, or None if torch is to be used; see `fast_path`."""
     parameters = actor.learnable
-    values = flat(parameter.detach() for parameter in parameters)
+    values = to_vector(parameter.detach() for parameter in parameters)
     result = torch.zeros_like(values)
     ends = accumulate(parameter[0].numel() for parameter in parameters)
     starts = {id(p): end - p[0].numel() for p, end in zip(parameters, ends, strict=True)}
@@ -102,9 +102,9 @@ def gauss_newton(actor: Actor, batch: WholeBatch, piece_samples: int) -> FisherP
     has_rows = batch.has_rows.to(batch.weight.dtype).view(-1, 1, 1)
 
     def product(vector: Tensor) -> Tensor:
-        direction = unflat(vector, parameters)
+        direction = from_vector(vector, parameters)
         result = torch.zeros_like(vector)
-        parts = unflat(result, parameters)
+        parts = from_vector(result, parameters)
         if actor.log_std is not None:
             parts[0] += DiagonalGaussian.LOG_STD_FISHER * has_rows * direction[0]
             direction, parts = direction[1:], parts[1:]
@@ -126,8 +126,8 @@ def double_backward(actor: Actor, batch: WholeBatch, piece_samples: int) -> Fish
         for piece in batch.pieces(piece_samples):
             new = actor(piece.observations, piece.masks, piece.timeline)
             mean_kl = (new.kl_from(new.detach()) * piece.weight).sum()
-            gradient = flat(torch.autograd.grad(mean_kl, parameters, create_graph=True))
-            result += flat(torch.autograd.grad((gradient * vector).sum(), parameters))
+            gradient = to_vector(torch.autograd.grad(mean_kl, parameters, create_graph=True))
+            result += to_vector(torch.autograd.grad((gradient * vector).sum(), parameters))
         return result
 
     return product

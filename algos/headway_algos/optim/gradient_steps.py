@@ -1,6 +1,6 @@
 """Steps of an optimiser over minibatches, for a stack of networks."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -8,7 +8,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from headway_algos.batches.epochs import Epochs
 from headway_algos.batches.minibatches import Piece
+from headway_algos.optim.fast_path import Descent
 
 Learn = Callable[[Piece], Tensor]
 """Adds the gradients of a piece of a minibatch; returns its shares of the I metrics, (I, P)."""
@@ -27,20 +29,19 @@ class Optimiser(Protocol):
 
 
 def gradient_steps(
-    optimiser: Optimiser,
-    batches: Iterable[tuple[Sequence[Piece], NDArray[np.bool_]]],
-    learn: Learn,
-    reports: int,
+    optimiser: Optimiser, epochs: Epochs, learn: Learn, reports: int, compiled: Descent | None = None
 ) -> tuple[Tensor, Tensor]:
     """Take one step per minibatch; return means over each network's steps, NaN for a network that took none.
 
-    They are the means of the I = `reports` metrics, (I, P), and of the gradient norm, (P,). Each minibatch is
-    a pair: its pieces, which fit the cache, and a mask (P,) of networks with rows in it.
+    They are the means of the I = `reports` metrics, (I, P), and of the gradient norm, (P,). `compiled` takes
+    the steps in place of `learn` and `optimiser`, whose parameters and state it shares.
     """
+    if compiled is not None:
+        return compiled(epochs.row_indices())
     reported: Tensor | None = None
     norms: Tensor | None = None
     steps: NDArray[np.int64] | None = None
-    for pieces, active in batches:
+    for pieces, active in epochs.pieces():
         optimiser.begin()
         for piece in pieces:
             shares = learn(piece)

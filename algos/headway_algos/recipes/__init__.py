@@ -1,17 +1,71 @@
-"""Named algorithms, one short file each: equations, source and composition."""
+"""Named algorithms, one short file each: equations, source and composition. Imports no torch."""
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import TYPE_CHECKING
+from typing import Any
 
-if TYPE_CHECKING:
-    from headway_algos.recipe import Recipe
-    from headway_algos.replay_config import ReplayRecipe
+from headway.contracts import Box, Contributor, Discrete, EnvSpec, Lazy, Learner
+from headway_algos.config import AlgoConfig
+from headway_algos.replay_config import ReplayConfig
+
+LEARNER = Lazy("headway_algos.on_policy.make_learner:make_learner")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """An on-policy algorithm: the components that it fixes, and its defaults for their keys."""
+
+    name: str
+    summary: str
+    """One line for `headway list algos`."""
+    source: str
+    """Paper, with its arXiv number."""
+    critic: str | None = None
+    """Name of the critic; None: any."""
+    update: str | None = None
+    """Name of the policy update; None: any."""
+    order: str | None = None
+    """Name of the order; None: any."""
+    critic_update: str | None = None
+    """Name of the critic's optimiser; None: any."""
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    """Defaults that differ from those of the components' records."""
+    fixed: Mapping[str, Any] = field(default_factory=dict)
+    """Fixed values of components' keys, which users cannot set."""
+    config: type[AlgoConfig] = AlgoConfig
+    """Record of the keys that belong to no component."""
+    rollout: Mapping[str, int] | None = None
+    """Defaults of keys of `rollout`; None: those of the update."""
+    learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner] = LEARNER
+    contributor: Callable[[Any, EnvSpec, Sequence[int]], Contributor] | None = None
+    """See `headway.contracts.AlgoEntry`."""
+    preload: tuple[str, ...] = ()
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+
+@dataclass(frozen=True)
+class ReplayRecipe:
+    """An off-policy algorithm: its record and its method of learning from replayed transitions."""
+
+    name: str
+    summary: str
+    """One line for `headway list algos`."""
+    source: str
+    """Paper, with its arXiv number."""
+    config: type[ReplayConfig]
+    actions: type[Discrete] | type[Box]
+    """Action space required, which also decides how the algorithm explores."""
+    method: Lazy
+    """Constructor of the update: a `headway_algos.off_policy.learner.MakeMethod`."""
 
 
 @cache
-def recipes() -> dict[str, "Recipe | ReplayRecipe"]:
+def recipes() -> dict[str, Recipe | ReplayRecipe]:
     """Return the recipes of this folder's modules, by name."""
     modules = [import_module(f"{__name__}.{module.name}") for module in iter_modules(__path__)]
     return {module.RECIPE.name: module.RECIPE for module in modules}

@@ -24,23 +24,9 @@ Related: IA2C is the synchronous version, and equals A3C with one worker; IPPO m
 same batch.
 """
 
-from dataclasses import dataclass
-from typing import Literal
-
 from headway.contracts import Lazy
-from headway_algos.config import AlgoConfig
-from headway_algos.recipe import Recipe
-
-
-@dataclass(frozen=True)
-class A3CConfig(AlgoConfig):
-    """How workers' gradients are applied."""
-
-    application: Literal["arrival", "in_turns"] = "arrival"
-    """When a worker's gradient is applied. `arrival`: as soon as it arrives, so that runs are not
-    reproducible; `in_turns`: in a fixed order of workers, which is reproducible but makes fast workers wait
-    (for tests). backend=serial always works in turns."""
-
+from headway_algos.config import A3CConfig
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="a3c",

@@ -16,7 +16,7 @@ Related: MAA2C takes the same step with advantages from V(s), equal for all agen
 `critic_actions: others` conditions on u^-a too, but regresses on returns instead of comparing own actions.
 """
 
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="coma",

@@ -4,7 +4,7 @@ Meant for combinations without a name and for ablations that change one choice. 
 use it: runs are stored and compared by name.
 """
 
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="custom",

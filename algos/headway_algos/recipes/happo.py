@@ -12,7 +12,7 @@ its own policy, or each group has one (`policies: groups`) and its agents are up
 Related: MAPPO has M = 1 and updates all agents at once; HATRPO takes TRPO's step.
 """
 
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="happo",

@@ -12,7 +12,7 @@ has one (`policies: groups`) and its agents are updated together.
 Related: MATRPO has M = 1 and updates all agents at once; HAPPO replaces the trust region by PPO's clip.
 """
 
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="hatrpo",

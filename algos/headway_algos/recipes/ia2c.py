@@ -11,7 +11,7 @@ Related: MAA2C replaces V(o) by V(s); IPPO makes several passes over the same ba
 ITRPO takes one step along the natural gradient.
 """
 
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="ia2c",

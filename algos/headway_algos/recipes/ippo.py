@@ -12,7 +12,7 @@ Related: MAPPO replaces V(o) by V(s); IA2C takes one plain gradient step instead
 ITRPO replaces the clip by a trust region.
 """
 
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="ippo",

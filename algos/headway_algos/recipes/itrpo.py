@@ -11,7 +11,7 @@ the objective.
 Related: IPPO replaces the constraint by a clip and many small steps; MATRPO replaces V(o) by V(s).
 """
 
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="itrpo",

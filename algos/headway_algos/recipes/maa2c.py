@@ -9,7 +9,7 @@ COMA's advantages compare each agent's own actions. The sequential version, HAA2
 algo=custom algo.critic=central algo.update=a2c algo.order=sequential.
 """
 
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="maa2c",

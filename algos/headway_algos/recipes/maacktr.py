@@ -16,7 +16,7 @@ Related: ITRPO computes the natural gradient by conjugate gradient and adds a li
 as many passes over the batch; IA2C takes the plain gradient.
 """
 
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="maacktr",

@@ -15,30 +15,9 @@ raised to the number of steps between.
 Related: DDPG is the counterpart for Box actions; IPPO learns a policy from on-policy data.
 """
 
-from dataclasses import dataclass
-
 from headway.contracts import Discrete, Lazy
-from headway.contracts.checks import require
-from headway_algos.replay_config import ReplayConfig, ReplayRecipe
-
-
-@dataclass(frozen=True)
-class MADQNConfig(ReplayConfig):
-    """MADQN: Q-learning with a replay buffer and epsilon-greedy exploration."""
-
-    name: str = "madqn"
-    double: bool = True
-    """Double Q-learning: the online network chooses the action that the target network evaluates; false: the
-    target network does both."""
-    exploration_start: float = 1.0
-    """Initial epsilon, the probability of a random action."""
-    exploration_end: float = 0.05
-    """Final epsilon."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require(self.exploration_start <= 1, "exploration_start must be at most 1: it is a probability")
-
+from headway_algos.recipes import ReplayRecipe
+from headway_algos.replay_config import MADQNConfig
 
 RECIPE = ReplayRecipe(
     name="madqn",

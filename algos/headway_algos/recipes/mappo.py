@@ -9,7 +9,7 @@ Related: IPPO's critic sees only o; MAA2C takes one plain gradient step; HAPPO u
 another and weights advantages by the probability ratios of the agents updated before.
 """
 
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="mappo",

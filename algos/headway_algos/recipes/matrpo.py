@@ -9,7 +9,7 @@ Related: ITRPO's critic sees only o; MAPPO replaces the trust region by a clip; 
 after another and weights advantages by the probability ratios of the agents updated before.
 """
 
-from headway_algos.recipe import Recipe
+from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(
     name="matrpo",

@@ -14,10 +14,8 @@ from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenb
 from headway_algos.off_policy.ddpg import DeterministicPolicyGradient
 from headway_algos.off_policy.dqn import QLearning
 from headway_algos.off_policy.learner import OffPolicyLearner
-from headway_algos.recipes.ddpg import DDPGConfig
-from headway_algos.recipes.madqn import MADQNConfig
 from headway_algos.registry import ENTRIES
-from headway_algos.replay_config import NetworkConfig
+from headway_algos.replay_config import DDPGConfig, MADQNConfig, NetworkConfig
 
 AGENTS, COPIES, SIZE = 5, 6, 3
 SPACES: dict[str, ActionSpace] = {"madqn": Discrete(4), "ddpg": Box((-1.0, 0.0), (3.0, 1.0))}
@@ -91,7 +89,7 @@ def test_greedy_actions_and_log_probabilities_equal_torch(
     assert observed.action_masks is not None
     values = _torch_outputs(learner, observed)
     np.testing.assert_allclose(
-        acting.stack.outputs(learner.acting_parameters(), observed), values, rtol=1e-5, atol=1e-5
+        acting.networks.outputs(learner.acting_parameters(), observed), values, rtol=1e-5, atol=1e-5
     )
     best = np.where(observed.action_masks, values, -np.inf).argmax(axis=-1)
     actions, _ = acting.act(learner.acting_parameters(), observed, None)

@@ -8,7 +8,7 @@ from covering import pairwise
 from numpy.typing import NDArray
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations
-from headway_algos.acting.exploration import EpsilonGreedyPolicy, ExploringStack, OrnsteinUhlenbeckPolicy
+from headway_algos.acting.exploration import EpsilonGreedyPolicy, ExploringNetworks, OrnsteinUhlenbeckPolicy
 from headway_algos.acting.gru import GRUActingPolicy
 from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.config import ModelConfig
@@ -36,9 +36,9 @@ def _policy(kind: str, precision: Precision, policies: Policies = "shared") -> P
     if kind.startswith("gated"):
         return GRUActingPolicy(flat, 6)
     if kind == "epsilon-greedy":
-        return EpsilonGreedyPolicy(ExploringStack(flat))
+        return EpsilonGreedyPolicy(ExploringNetworks(flat))
     if kind == "ornstein-uhlenbeck":
-        return OrnsteinUhlenbeckPolicy(ExploringStack(flat), 0.2, 0.3)
+        return OrnsteinUhlenbeckPolicy(ExploringNetworks(flat), 0.2, 0.3)
     return flat
 
 
@@ -58,8 +58,8 @@ def _observations(
     draw, copies, masks, hidden = np.random.default_rng(7), len(alive), None, None
     observations = draw.normal(0, 2, (copies, SLOTS, SIZE)).astype(np.float32)
     observations[~alive] = np.nan
-    stack = policy.stack if isinstance(policy, EpsilonGreedyPolicy | OrnsteinUhlenbeckPolicy) else policy
-    flat = stack if isinstance(stack, MLPActingPolicy) else stack.flat
+    stack = policy.networks if isinstance(policy, EpsilonGreedyPolicy | OrnsteinUhlenbeckPolicy) else policy
+    flat = stack if isinstance(stack, MLPActingPolicy) else stack.perceptron
     if isinstance(flat.spec.action_space, Discrete):
         masks = draw.random((copies, SLOTS, 4)) < 0.6
         masks[..., 2] |= ~masks.any(axis=-1)

@@ -25,7 +25,7 @@ from headway_algos.networks.timeline import Timeline
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.updates.trpo import TRPO
-from headway_algos.optim.fisher import double_backward, unflat
+from headway_algos.optim.fisher import double_backward, from_vector
 from headway_algos.registry import ENTRIES, configure
 from headway_envs.toy.visitors import Visitors, VisitorsConfig
 
@@ -252,7 +252,7 @@ def test_gradients_through_sequences_equal_a_loop(fabricate: Fabricate, piece_sa
     torch.testing.assert_close(surrogate, torch.stack(expected).detach(), rtol=0, atol=1e-12)
     parameters = learner.actor.learnable
     slopes = torch.autograd.grad(sum(expected[1:], expected[0]), parameters)
-    for got, slope in zip(unflat(gradient, parameters), slopes, strict=True):
+    for got, slope in zip(from_vector(gradient, parameters), slopes, strict=True):
         torch.testing.assert_close(got, slope, rtol=0, atol=1e-11)
 
 

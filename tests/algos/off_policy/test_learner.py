@@ -21,10 +21,8 @@ from headway.contracts import (
     TrajectoryLayout,
 )
 from headway_algos.off_policy.learner import OffPolicyLearner
-from headway_algos.recipes.ddpg import DDPGConfig
-from headway_algos.recipes.madqn import MADQNConfig
 from headway_algos.registry import ENTRIES
-from headway_algos.replay_config import NetworkConfig, ReplayConfig
+from headway_algos.replay_config import DDPGConfig, MADQNConfig, NetworkConfig, ReplayConfig
 
 Fabricate = Callable[..., Trajectory]
 Policies = Literal["independent", "shared", "groups"]

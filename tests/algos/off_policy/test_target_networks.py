@@ -15,9 +15,7 @@ from headway_algos.off_policy.ddpg import DeterministicPolicyGradient
 from headway_algos.off_policy.dqn import QLearning
 from headway_algos.off_policy.replay_buffer import Batch
 from headway_algos.off_policy.target_networks import TargetNetwork, mean_over_batch, regression_loss
-from headway_algos.recipes.ddpg import DDPGConfig
-from headway_algos.recipes.madqn import MADQNConfig
-from headway_algos.replay_config import NetworkConfig
+from headway_algos.replay_config import DDPGConfig, MADQNConfig, NetworkConfig
 
 DOUBLE = torch.float64
 CPU = torch.device("cpu")

@@ -21,9 +21,9 @@ from headway_algos.optim.fisher import (
     compiled_gauss_newton,
     double_backward,
     fisher_product,
-    flat,
+    from_vector,
     gauss_newton,
-    unflat,
+    to_vector,
 )
 
 P, B, D, A = 3, 14, 3, 4
@@ -77,7 +77,7 @@ def _explicit(actor: Actor, batch: WholeBatch, p: int) -> Tensor:
         outputs = alone.network(batch.observations[p : p + 1, b : b + 1])[0, :, 0]
         jacobian = torch.stack(
             [
-                flat(torch.autograd.grad(o, list(alone.network.parameters()), retain_graph=True))[0]
+                to_vector(torch.autograd.grad(o, list(alone.network.parameters()), retain_graph=True))[0]
                 for o in outputs
             ]
         )
@@ -99,7 +99,7 @@ def _explicit(actor: Actor, batch: WholeBatch, p: int) -> Tensor:
 def test_products_equal_the_explicit_matrix(space: str, masked: bool) -> None:
     actor, batch = _actor(space), _batch(space, masked)
     vector = torch.randn(
-        flat(actor.learnable).shape, generator=torch.Generator().manual_seed(3), dtype=DOUBLE
+        to_vector(actor.learnable).shape, generator=torch.Generator().manual_seed(3), dtype=DOUBLE
     )
     expected = torch.stack([_explicit(actor, batch, p) @ vector[p] for p in range(P)])
     for product in (gauss_newton(actor, batch, 10), double_backward(actor, batch, 10)):
@@ -112,7 +112,7 @@ def test_both_forms_are_equal(space: str, masked: bool, hidden: tuple[int, ...],
     actor, batch = _actor(space, hidden, activation), _batch(space, masked)
     random = torch.Generator().manual_seed(4)
     for _ in range(3):
-        vector = torch.randn(flat(actor.learnable).shape, generator=random, dtype=DOUBLE)
+        vector = torch.randn(to_vector(actor.learnable).shape, generator=random, dtype=DOUBLE)
         one = gauss_newton(actor, batch, 10)(vector)
         torch.testing.assert_close(one, double_backward(actor, batch, 50)(vector), rtol=1e-10, atol=1e-10)
         assert torch.equal(one, fisher_product(actor, batch, 10)(vector))
@@ -134,7 +134,7 @@ def test_compiled_products_equal_those_of_torch_in_float64(
     assert compiled_gauss_newton(precise, batch) is None
     random = torch.Generator().manual_seed(5)
     for _ in range(2):
-        vector = torch.randn(flat(actor.learnable).shape, generator=random)
+        vector = torch.randn(to_vector(actor.learnable).shape, generator=random)
         expected = gauss_newton(precise, batch, 10_000)(vector.double())
         torch.testing.assert_close(product(vector).double(), expected, rtol=1e-4, atol=1e-5)
     alone = single.narrow(torch.tensor([1]))
@@ -156,7 +156,7 @@ def test_a_policy_without_rows_has_no_fisher_information() -> None:
     weight = batch.weight.clone()
     weight[1] = 0
     batch = replace(batch, weight=weight)
-    vector = torch.ones_like(flat(actor.learnable))
+    vector = torch.ones_like(to_vector(actor.learnable))
     single = replace(batch, observations=batch.observations.float(), weight=batch.weight.float())
     compiled = compiled_gauss_newton(deepcopy(actor).float(), single)
     assert compiled is not None
@@ -226,7 +226,7 @@ def test_information_in_a_log_standard_deviation_is_two() -> None:
     torch.testing.assert_close(hessian.reshape(A, A), expected, rtol=1e-12, atol=1e-12)
 
 
-def test_unflat_inverts_flat() -> None:
+def test_from_vector_inverts_to_vector() -> None:
     tensors = [torch.randn(2, 3, 4), torch.randn(2, 3, 1)]
-    for part, tensor in zip(unflat(flat(tensors), tensors), tensors, strict=True):
+    for part, tensor in zip(from_vector(to_vector(tensors), tensors), tensors, strict=True):
         assert torch.equal(part, tensor)

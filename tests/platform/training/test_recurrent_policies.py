@@ -85,13 +85,13 @@ def test_hidden_states_continue_between_iterations_and_end_with_a_stream() -> No
 
 class _Steady(GRUActingPolicy):
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
-        return np.full((steps, self.flat.spec.num_agents), 0.5)
+        return np.full((steps, self.perceptron.spec.num_agents), 0.5)
 
 
 def _steadily(plan: RolloutPlan, iterations: int) -> list[Trajectory]:
     """Trajectories with the same noise in every iteration."""
     assert isinstance(plan.policy, GRUActingPolicy)
-    plan = replace(plan, policy=_Steady(plan.policy.flat, plan.policy.hidden_size))
+    plan = replace(plan, policy=_Steady(plan.policy.perceptron, plan.policy.hidden_size))
     with collector_of(plan, "serial") as collector:
         collector.begin()
         found = []

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from headway_algos.networks.network import Network
 from headway_algos.optim.adam import StackedAdam
-from headway_algos.optim.fast_path import Descent, descent, flat, perceptrons_of
+from headway_algos.optim.fast_path import Descent, as_array, descent, perceptrons_of
 
 
 def compiled_regression(
@@ -29,6 +29,6 @@ def compiled_regression(
     numbers = np.empty(0, np.float32)
     bound = float("inf") if value_clip is None else float(value_clip)
     data = kernels.Targets(
-        flat(inputs, numbers), flat(taken, np.empty(0, np.int64)), flat(targets, numbers), bound
+        as_array(inputs, numbers), as_array(taken, np.empty(0, np.int64)), as_array(targets, numbers), bound
     )
     return descent(kernels.descend_returns, networks, optimiser, (data,), 1)

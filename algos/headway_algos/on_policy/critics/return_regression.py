@@ -11,11 +11,11 @@ from torch import Tensor, nn
 
 from headway.contracts import Trajectory, generator
 from headway_algos.batches.critic_batch import CriticBatch
+from headway_algos.batches.epochs import Epochs
 from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.minibatches import Piece, even_slices, shuffled_epochs
+from headway_algos.batches.minibatches import Piece, even_slices
 from headway_algos.batches.policy_stack import mean_per_replica
-from headway_algos.batches.sequences import learning_batches
 from headway_algos.components import component
 from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.networks.network import make_network
@@ -151,22 +151,18 @@ class ReturnRegression:
         targets = targets.to(layout.dtype)
         hidden_states, length = estimate.hidden_states, config.model.sequence_length
         sequences = None if hidden_states is None else hidden_states.sequences(layout, length)
-        generators = self._generators(iteration)
-        descend: Descent | None = None
+        epochs = Epochs(
+            selected, sequences, self._generators(iteration), config.epochs, config.minibatches,
+            config.piece_samples, layout,
+        )  # fmt: skip
+        learn = partial(self._learn, estimate=estimate, targets=targets)
+        compiled: Descent | None = None
         if isinstance(self.optimiser, StackedAdam):
             network, optimiser = self.networks.network, self.optimiser
-            descend = compiled_regression(
+            compiled = compiled_regression(
                 network, optimiser, estimate.inputs, estimate.taken, targets, config.value_clip
             )
-        if descend is not None:
-            (loss,), _ = descend(shuffled_epochs(selected, generators, config.epochs, config.minibatches))
-        else:
-            batches = learning_batches(
-                selected, sequences, generators, config.epochs, config.minibatches,
-                config.piece_samples, layout,
-            )  # fmt: skip
-            learn = partial(self._learn, estimate=estimate, targets=targets)
-            (loss,), _ = gradient_steps(self.optimiser, batches, learn, 1)
+        (loss,), _ = gradient_steps(self.optimiser, epochs, learn, 1, compiled)
         self.networks.carry(hidden_states)
         return {
             "loss": mean_per_replica(loss, layout.replicas),

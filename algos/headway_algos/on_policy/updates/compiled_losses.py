@@ -14,7 +14,7 @@ from headway_algos.networks.distributions import MaskedCategorical
 from headway_algos.on_policy.updates.kl_penalty import KLPenalty, OldPolicies
 from headway_algos.on_policy.updates.losses import A2CLoss, PolicyLoss, PPOLoss
 from headway_algos.optim.adam import StackedAdam
-from headway_algos.optim.fast_path import Descent, Epochs, descent, flat, perceptrons_of
+from headway_algos.optim.fast_path import Descent, RowIndices, as_array, descent, perceptrons_of
 
 
 def compiled_loss(
@@ -51,23 +51,23 @@ def compiled_loss(
         if isinstance(before, MaskedCategorical):
             old_outputs = before.log_probs.exp().transpose(1, 2)
     data = kernels.PolicyData(
-        flat(rows.observations, table), flat(rows.log_probs, numbers), flat(advantages, numbers),
-        flat(old_outputs, table), coefficients, clip, entropy_coeff,
+        as_array(rows.observations, table), as_array(rows.log_probs, numbers), as_array(advantages, numbers),
+        as_array(old_outputs, table), coefficients, clip, entropy_coeff,
     )  # fmt: skip
     if actor.log_std is None:
-        masks = flat(rows.masks, np.empty((0, outputs), np.bool_))
-        discrete = kernels.DiscreteActions(flat(rows.actions, np.empty(0, np.int64)), masks)
+        masks = as_array(rows.masks, np.empty((0, outputs), np.bool_))
+        discrete = kernels.DiscreteActions(as_array(rows.actions, np.empty(0, np.int64)), masks)
         descend = descent(kernels.descend_categorical, networks, optimiser, (data, discrete), 3)
     else:
         (start,) = optimiser.starts([actor.log_std])
         old_log_std = actor.log_std.detach() if old is None or old.log_std is None else old.log_std
         log_std = np.ascontiguousarray(old_log_std[..., 0].numpy())
-        box = kernels.BoxActions(flat(rows.actions, table), log_std, start)
+        box = kernels.BoxActions(as_array(rows.actions, table), log_std, start)
         descend = descent(kernels.descend_gaussian, networks, optimiser, (data, box), 3)
     return descend if type(loss) is PPOLoss else partial(_entropy_alone, descend)
 
 
-def _entropy_alone(descend: Descent, epochs: Epochs) -> tuple[Tensor, Tensor]:
+def _entropy_alone(descend: Descent, epochs: RowIndices) -> tuple[Tensor, Tensor]:
     """Take the steps; leave out the reported numbers that A2C does not have."""
     (_, entropy, _), norms = descend(epochs)
     return entropy[None], norms

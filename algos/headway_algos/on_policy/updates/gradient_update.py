@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from headway_algos.batches.epochs import Epochs
 from headway_algos.batches.layout import Layout
-from headway_algos.batches.minibatches import Piece, shuffled_epochs
+from headway_algos.batches.minibatches import Piece
 from headway_algos.batches.policy_batch import PolicyBatch
-from headway_algos.batches.sequences import learning_batches
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.compiled_losses import compiled_loss
 from headway_algos.on_policy.updates.config import GradientUpdateConfig, PPOConfig
@@ -47,16 +47,12 @@ class GradientUpdate:
         def learn(piece: Piece) -> Tensor:
             return self._learn(piece, rows, advantages, old)
 
+        epochs = Epochs(
+            rows.selected, rows.sequences, generators, self.epochs, self.minibatches,
+            self.config.piece_samples, self.layout,
+        )  # fmt: skip
         compiled = compiled_loss(self.loss, self.actor, self.optimiser, rows, advantages, self.penalty, old)
-        if compiled is not None:
-            batches = shuffled_epochs(rows.selected, generators, self.epochs, self.minibatches)
-            reported, norm = compiled(batches)
-        else:
-            pieces = learning_batches(
-                rows.selected, rows.sequences, generators, self.epochs, self.minibatches,
-                self.config.piece_samples, self.layout,
-            )  # fmt: skip
-            reported, norm = gradient_steps(self.optimiser, pieces, learn, len(self.loss.reports))
+        reported, norm = gradient_steps(self.optimiser, epochs, learn, len(self.loss.reports), compiled)
         info = dict(zip(self.loss.reports, reported, strict=True)) | {"gradient_norm": norm}
         if self.penalty is not None and old is not None:
             info |= self.penalty.adapt(self.actor, rows, old)

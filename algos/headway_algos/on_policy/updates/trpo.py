@@ -15,7 +15,7 @@ from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.losses import Minibatch, SurrogateLoss
 from headway_algos.on_policy.updates.natural_config import TRPOConfig
 from headway_algos.optim.conjugate_gradient import conjugate_gradient
-from headway_algos.optim.fisher import fisher_product, flat, unflat
+from headway_algos.optim.fisher import fisher_product, from_vector, to_vector
 
 
 class TRPO:
@@ -56,13 +56,13 @@ class TRPO:
     def _gradient(self, batch: WholeBatch) -> tuple[Tensor, Tensor, Tensor, WholeBatch]:
         """Return the surrogate's gradient (P, V) and value (P,), entropy (P,), and the batch with outputs."""
         parameters, stack = self.actor.learnable, len(batch.weight)
-        gradient = torch.zeros_like(flat(parameter.detach() for parameter in parameters))
+        gradient = torch.zeros_like(to_vector(parameter.detach() for parameter in parameters))
         surrogate, entropy = gradient.new_zeros(stack), gradient.new_zeros(stack)
         kept: list[Tensor] = []
         for piece in batch.pieces(self.config.piece_samples):
             outputs = self.actor.network(piece.observations, piece.timeline)
             values, entropies = self._surrogate(self.actor, outputs, piece)
-            gradient += flat(torch.autograd.grad(values.sum(), parameters))
+            gradient += to_vector(torch.autograd.grad(values.sum(), parameters))
             surrogate += values.detach()
             entropy += entropies.detach()
             kept.append(outputs.detach().transpose(1, 2))
@@ -95,7 +95,7 @@ class TRPO:
             after = self.actor.narrow(going)
             log_std = None if self.actor.log_std is None else self.actor.log_std.detach()[going]
             with torch.no_grad():
-                changes = unflat(size * step[going], after.learnable)
+                changes = from_vector(size * step[going], after.learnable)
                 for tensor, change in zip(after.learnable, changes, strict=True):
                     tensor.add_(change)
                 rows = batch if len(going) == len(step) else batch.narrow(going)

@@ -20,7 +20,7 @@ from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.on_policy.updates.kfac import KFAC
-from headway_algos.optim.fisher import flat, unflat
+from headway_algos.optim.fisher import from_vector, to_vector
 from headway_algos.optim.kfac_regression import KFACRegression
 from headway_algos.registry import configure
 
@@ -89,10 +89,10 @@ class Alone:
         self.observations, self.actions = rows.observations[p, chosen], rows.actions[p, chosen]
         self.masks = None if rows.masks is None else rows.masks[p, chosen]
         self.advantages = advantages[p, chosen]
-        self.start = flat(parameter.detach() for parameter in self.actor.learnable)[0]
+        self.start = to_vector(parameter.detach() for parameter in self.actor.learnable)[0]
 
     def distribution(self, theta: Tensor) -> Any:  # noqa: ANN401 - torch leaves it untyped
-        parts = [part[0] for part in unflat(theta[None], self.actor.learnable)]
+        parts = [part[0] for part in from_vector(theta[None], self.actor.learnable)]
         log_std = parts.pop(0)[:, 0] if self.actor.log_std is not None else None
         layers, x = len(parts) // 2, self.observations
         for i in range(layers):
@@ -123,9 +123,9 @@ def _moved(
     update: KFAC, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Changes of the parameters, (P, V), and the metrics."""
-    before = flat(parameter.detach().clone() for parameter in update.actor.learnable)
+    before = to_vector(parameter.detach().clone() for parameter in update.actor.learnable)
     info = update.improve(rows, advantages, generators)
-    return flat(update.actor.learnable).detach() - before, info
+    return to_vector(update.actor.learnable).detach() - before, info
 
 
 def test_the_step_is_the_natural_gradient_for_a_linear_gaussian_policy() -> None:

@@ -19,7 +19,7 @@ from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.trpo import TRPO
-from headway_algos.optim.fisher import flat, unflat
+from headway_algos.optim.fisher import from_vector, to_vector
 from headway_algos.registry import configure
 
 P, B, D, A = 4, 30, 3, 3
@@ -94,11 +94,11 @@ class Oracle:
         self.masks = None if rows.masks is None else rows.masks[p, chosen]
         self.actions, self.behaviour = rows.actions[p, chosen], rows.log_probs[p, chosen]
         self.advantages = advantages[p, chosen]
-        self.start = flat(parameter.detach() for parameter in self.actor.learnable)[0]
+        self.start = to_vector(parameter.detach() for parameter in self.actor.learnable)[0]
         self.old = self._distribution(self.start)
 
     def _distribution(self, theta: Tensor, every: int = 1) -> Any:  # noqa: ANN401 - torch leaves it untyped
-        parts = unflat(theta[None], self.actor.learnable)
+        parts = from_vector(theta[None], self.actor.learnable)
         log_std = parts.pop(0) if self.actor.log_std is not None else None
         weight_1, weight_2, bias_1, bias_2 = (part[0] for part in parts)
         hidden = torch.tanh(self.observations[::every] @ weight_1.T + bias_1[:, 0])
@@ -143,7 +143,7 @@ def test_the_step_is_the_natural_gradients_within_its_bound(spec: EnvSpec) -> No
     rows, advantages = _rows(spec, update.actor)
     found = [Oracle(CONFIG, update.actor, rows, advantages, p).find(1e-3) for p in range(P)]
     info = update.improve(rows, advantages, [])
-    after = flat(update.actor.learnable).detach()
+    after = to_vector(update.actor.learnable).detach()
     for p in range(P):
         assert found[p].size == 1
         torch.testing.assert_close(after[p], found[p].new, rtol=1e-9, atol=1e-9)
@@ -160,9 +160,9 @@ def test_the_line_search_is_per_policy(spec: EnvSpec) -> None:
     update = _update(spec, config, stack)
     rows, advantages = _rows(spec, update.actor, seed=3)
     found = [Oracle(config, update.actor, rows, advantages, p).find(0.6) for p in range(stack)]
-    before = flat(parameter.detach().clone() for parameter in update.actor.learnable)
+    before = to_vector(parameter.detach().clone() for parameter in update.actor.learnable)
     info = update.improve(rows, advantages, [])
-    after = flat(update.actor.learnable).detach()
+    after = to_vector(update.actor.learnable).detach()
     sizes = [one.size for one in found]
     assert set(sizes) == {1.0, 0.5, 0.0}
     assert info["accepted_step"].tolist() == sizes
@@ -189,7 +189,7 @@ def test_the_fisher_information_of_a_share_of_the_rows() -> None:
     rows, advantages = _rows(DISCRETE, update.actor)
     found = [Oracle(config, update.actor, rows, advantages, p).find(1e-3, every=2) for p in range(P)]
     update.improve(rows, advantages, [])
-    for p, theta in enumerate(flat(update.actor.learnable).detach()):
+    for p, theta in enumerate(to_vector(update.actor.learnable).detach()):
         torch.testing.assert_close(theta, found[p].new, rtol=1e-9, atol=1e-9)
 
 
@@ -198,10 +198,10 @@ def test_annealing_shortens_steps_by_its_share() -> None:
     for share in (1.0, 0.1):
         update = _update(DISCRETE)
         rows, advantages = _rows(DISCRETE, update.actor)
-        before = flat(parameter.detach().clone() for parameter in update.actor.learnable)
+        before = to_vector(parameter.detach().clone() for parameter in update.actor.learnable)
         update.anneal(share)
         update.improve(rows, advantages, [])
-        moves.append(flat(update.actor.learnable).detach() - before)
+        moves.append(to_vector(update.actor.learnable).detach() - before)
     torch.testing.assert_close(moves[1], 0.1 * moves[0], rtol=1e-9, atol=1e-12)
 
 
@@ -213,12 +213,12 @@ def test_without_a_gradient_nothing_changes(spec: EnvSpec) -> None:
     rows, advantages = _rows(spec, update.actor)
     advantages[0] = 0
     rows.selected[1] = False
-    before = flat(parameter.detach().clone() for parameter in update.actor.learnable)
+    before = to_vector(parameter.detach().clone() for parameter in update.actor.learnable)
     info = update.improve(rows, advantages, [])
-    after = flat(update.actor.learnable).detach()
+    after = to_vector(update.actor.learnable).detach()
     assert [bool(torch.equal(after[p], before[p])) for p in range(P)] == [True, True, False, False]
     assert all(bool(torch.isfinite(value).all()) for value in info.values())
     rows.selected[:] = False
     info = update.improve(rows, advantages, [])
-    assert torch.equal(flat(update.actor.learnable).detach(), after)
+    assert torch.equal(to_vector(update.actor.learnable).detach(), after)
     assert all(bool((value == 0).all()) for value in info.values())

@@ -8,8 +8,8 @@ from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, L
 from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
 from headway_algos.agent_id import agent_ids, impossible_ids
 from headway_algos.grouping import Grouping
-from headway_algos.recipes.ddpg import DDPGConfig
-from headway_algos.replay_config import ReplayConfig, ReplayRecipe
+from headway_algos.recipes import ReplayRecipe
+from headway_algos.replay_config import DDPGConfig, ReplayConfig
 
 LEARNER = Lazy("headway_algos.off_policy.learner:OffPolicyLearner")
 
