@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from headway_envs.bus.prepare import prepare, prepare_replay
     from headway_envs.bus.realism.calls import simulated_days
     from headway_envs.bus.realism.comparison import call_km, compare_replay
-    from headway_envs.bus.realism.plots import draw_headways_along, draw_load_profile, draw_time_space
+    from headway_envs.bus.realism.plots import plot_headways_along, plot_load_profile, plot_time_space
     from headway_envs.bus.realism.trip_statistics import headway_statistics
     from headway_envs.bus.scenario.measures import link_loads
-    from headway_envs.bus.scenario.plots import draw_scenario
+    from headway_envs.bus.scenario.plots import plot_scenario
     from headway_envs.bus.scenario.source import scenario_tables
     from headway_envs.parallel_env import ParallelEnvBase, from_batched
 
@@ -37,13 +37,13 @@ __all__ = [
     "ParallelEnvBase",
     "call_km",
     "compare_replay",
-    "draw_headways_along",
-    "draw_load_profile",
-    "draw_scenario",
-    "draw_time_space",
     "from_batched",
     "headway_statistics",
     "link_loads",
+    "plot_headways_along",
+    "plot_load_profile",
+    "plot_scenario",
+    "plot_time_space",
     "prepare",
     "prepare_replay",
     "scenario_tables",
@@ -57,13 +57,13 @@ __getattr__ = lazy_attributes(
         "ParallelEnvBase": "headway_envs.parallel_env:ParallelEnvBase",
         "call_km": f"{_REALISM}.comparison:call_km",
         "compare_replay": f"{_REALISM}.comparison:compare_replay",
-        "draw_headways_along": f"{_REALISM}.plots:draw_headways_along",
-        "draw_load_profile": f"{_REALISM}.plots:draw_load_profile",
-        "draw_scenario": f"{_SCENARIO}.plots:draw_scenario",
-        "draw_time_space": f"{_REALISM}.plots:draw_time_space",
         "from_batched": "headway_envs.parallel_env:from_batched",
         "headway_statistics": f"{_REALISM}.trip_statistics:headway_statistics",
         "link_loads": f"{_SCENARIO}.measures:link_loads",
+        "plot_headways_along": f"{_REALISM}.plots:plot_headways_along",
+        "plot_load_profile": f"{_REALISM}.plots:plot_load_profile",
+        "plot_scenario": f"{_SCENARIO}.plots:plot_scenario",
+        "plot_time_space": f"{_REALISM}.plots:plot_time_space",
         "prepare": "headway_envs.bus.prepare:prepare",
         "prepare_replay": "headway_envs.bus.prepare:prepare_replay",
         "scenario_tables": f"{_SCENARIO}.source:scenario_tables",

@@ -92,15 +92,15 @@ def learning_curves(
         shade = min(_SHADE, _SHADES / len(by_name))
         for name, curve in by_name.items():
             if name not in excluded:
-                _draw_curve(axes, name, curve, column, styles[name], shade)
+                _plot_curve(axes, name, curve, column, styles[name], shade)
         middles = [curve[column].to_numpy() for name, curve in by_name.items() if name not in excluded]
         _bound_bands(axes, np.concatenate(middles))
-        draw_rules(axes, rules.get(task, {}))
+        plot_rules(axes, rules.get(task, {}))
         if excluded:
             window = axes.get_ylim()
             for name, value in excluded.items():
                 remark = f" (off scale: {_four_digits(value)})"
-                _draw_curve(axes, name, by_name[name], column, styles[name], shade, remark)
+                _plot_curve(axes, name, by_name[name], column, styles[name], shade, remark)
             axes.set_ylim(window)
         if low is not None:
             if low >= (top := axes.get_ylim()[1]):
@@ -133,7 +133,7 @@ def run_curves(curves: Mapping[str, Mapping[int, float]], title: str) -> "Figure
     return figure
 
 
-def _draw_curve(
+def _plot_curve(
     axes: "Axes",
     name: str,
     curve: "pd.DataFrame",
@@ -142,7 +142,7 @@ def _draw_curve(
     shade: float,
     remark: str = "",
 ) -> None:
-    """Draw a controller's line and the band of its interval."""
+    """Plot a controller's line and the band of its interval."""
     runs = f" ({counted(int(curve['runs'].iloc[0]), 'seed')})" if "runs" in curve else ""
     steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
     axes.plot(
@@ -168,15 +168,15 @@ def _point_markers(points: int) -> dict[str, Any]:
     return {"marker": "o", "markersize": 3.5} if points <= _MAX_MARKED_POINTS else {}
 
 
-def draw_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) -> None:
-    """Draw each rule as a grey horizontal line, or a vertical one if `upright`.
+def plot_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) -> None:
+    """Plot each rule as a grey horizontal line, or a vertical one if `upright`.
 
-    Distant rules are only listed in the legend. A vertical axis with fixed limits is extended to the rules
-    drawn.
+    Distant rules are only listed in the legend. A vertical axis with fixed limits is extended to the
+    plotted rules.
     """
     low, high = axes.get_xlim() if upright else axes.get_ylim()
     near = near_rules(rules, low, high)
-    draw = axes.axvline if upright else axes.axhline
+    plot_line = axes.axvline if upright else axes.axhline
     for place, (rule, value) in enumerate(sorted(rules.items())):
         style: dict[str, Any] = {
             "linestyle": _RULE_LINES[place % len(_RULE_LINES)],
@@ -184,13 +184,13 @@ def draw_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) 
             "linewidth": 1,
         }
         if rule in near:
-            draw(value, label=f"rule {rule}", **style)
+            plot_line(value, label=f"rule {rule}", **style)
         else:
             axes.plot([], [], label=f"rule {rule} (off scale: {_four_digits(value)})", **style)
     if near and not upright and not axes.get_autoscaley_on():
-        drawn = [rules[rule] for rule in near]
-        edge = 0.05 * (max(high, *drawn) - min(low, *drawn))
-        axes.set_ylim(min(low, min(drawn) - edge), max(high, max(drawn) + edge))
+        shown = [rules[rule] for rule in near]
+        edge = 0.05 * (max(high, *shown) - min(low, *shown))
+        axes.set_ylim(min(low, min(shown) - edge), max(high, max(shown) + edge))
 
 
 def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:
@@ -250,7 +250,7 @@ def intervals(
     """Plot the frame of `summary`: each controller's interquartile mean and its interval, one row each.
 
     Rules are vertical lines; distant ones are in the legend only. Controllers far worse than most
-    (`outliers`, see there for `sign`) are named with their value and not drawn.
+    (`outliers`, see there for `sign`) are named with their value and not plotted.
     """
     names = [str(name) for name in summary.index]
     ends = summary[["iqm", "iqm_low", "iqm_high"]].to_numpy()
@@ -269,7 +269,7 @@ def intervals(
             place, row["iqm_high"] - row["iqm_low"], left=row["iqm_low"], height=0.5, color=colour, alpha=0.45
         )
         axes.plot([row["iqm"]] * 2, [place - 0.25, place + 0.25], color=colour, linewidth=2.5)
-    draw_rules(axes, rules, upright=True)
+    plot_rules(axes, rules, upright=True)
     axes.use_sticky_edges = False  # otherwise the margins would not apply to the bars
     axes.margins(x=0.05)
     _label_rows(axes, beside)
@@ -316,14 +316,14 @@ def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) ->
         labels = [f"{co2_unit} CO2eq per run", *labels]
         spread = energy["kg_co2_std"].fillna(0) * co2_factor
         panels[0].barh(places, energy["kg_co2"] * co2_factor, xerr=spread, color="#228833", **errors)
-    drawn = np.zeros(len(energy))
+    ends = np.zeros(len(energy))
     for part, name in _PARTS.items():
         share = energy[part].fillna(0).to_numpy() * kwh_factor
         if share.any():
-            middle.barh(places, share, left=drawn, color=_PART_COLOURS[part], label=name, height=0.6)
-        drawn = drawn + share
+            middle.barh(places, share, left=ends, color=_PART_COLOURS[part], label=name, height=0.6)
+        ends = ends + share
     spread = energy["kwh_std"].fillna(0) * kwh_factor
-    middle.errorbar(drawn, places, xerr=spread, fmt="none", ecolor="0.25", capsize=3)
+    middle.errorbar(ends, places, xerr=spread, fmt="none", ecolor="0.25", capsize=3)
     right.barh(
         places, energy["cpu_seconds"], xerr=energy["cpu_seconds_std"].fillna(0), color="#66CCEE", **errors
     )
@@ -405,10 +405,10 @@ def _legends_beside(figure: "Figure", panels: Iterable["Axes"]) -> None:
     """Put a legend to the right of each panel and enlarge the figure until all names fit."""
     legends = []
     for axes in panels:
-        drawn, names = axes.get_legend_handles_labels()
+        handles, names = axes.get_legend_handles_labels()
         legends.append(
             axes.legend(
-                drawn,
+                handles,
                 [_wrapped(name) for name in names],
                 fontsize="small",
                 loc="center left",

@@ -9,20 +9,20 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from headway.contracts import HeadwayError
-from headway_envs.bus.scenario.plots import _draw_map, draw_scenario
+from headway_envs.bus.scenario.plots import _plot_map, plot_scenario
 from headway_envs.bus.scenario.synthetic import generate
 
 
 @pytest.mark.parametrize("scenario", ["line", pytest.param("district", marks=pytest.mark.slow)])
 def test_a_picture_shows_the_map_and_the_day(scenario: str, tmp_path: Path) -> None:
     tables = generate(scenario, 0)
-    draw_scenario(tables, "weekday", scenario).savefig(tmp_path / "a.png")
+    plot_scenario(tables, "weekday", scenario).savefig(tmp_path / "a.png")
     with Image.open(tmp_path / "a.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).astype(int)
     left = pixels[:, : pixels.shape[1] * 55 // 100]
     coloured = (left.max(axis=2) - left.min(axis=2) > 60).mean()
     assert coloured > 0.002  # links, not only black text on white
-    draw_scenario(tables, "sunday", scenario).savefig(tmp_path / "b.png")
+    plot_scenario(tables, "sunday", scenario).savefig(tmp_path / "b.png")
     assert (tmp_path / "a.png").read_bytes() != (tmp_path / "b.png").read_bytes()
 
 
@@ -33,7 +33,7 @@ def test_the_map_of_a_straight_line_is_no_strip_and_keeps_its_scale(turned: bool
         stops = tables.stops.rename(columns={"lat": "lon", "lon": "lat"})
         tables = replace(tables, stops=stops.assign(lat=stops["lat"] + 20.0, lon=stops["lon"] - 20.0))
     axes = Figure(figsize=(8.0, 7.0)).subplots()
-    _draw_map(axes, tables, tables.trips[tables.trips["daytype"] == "weekday"], "weekday")
+    _plot_map(axes, tables, tables.trips[tables.trips["daytype"] == "weekday"], "weekday")
     wide, high = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
     assert min(wide, high) == pytest.approx(0.4 * max(wide, high))
     assert (high > wide) == turned
@@ -47,4 +47,4 @@ def test_a_day_without_trips_is_one_line() -> None:
     tables = generate("line", 0)
     weekday = replace(tables, trips=tables.trips[tables.trips["daytype"] == "weekday"])
     with pytest.raises(HeadwayError, match="there is no trip on a sunday"):
-        draw_scenario(weekday, "sunday", "")
+        plot_scenario(weekday, "sunday", "")

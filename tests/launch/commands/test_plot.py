@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from headway.contracts.errors import HeadwayError
 from headway.stats import plots
-from headway.stats.plots import colours, draw_rules, intervals, learning_curves, near_rules, outliers
+from headway.stats.plots import colours, intervals, learning_curves, near_rules, outliers, plot_rules
 from headway.store import RunLog, RunRecord, RunSelection, select
 from headway.store.atomic_files import write_text
 from headway.store.run_folder import Process, create_run_folder, now, rules_file
@@ -108,7 +108,7 @@ def test_a_rule_far_away_does_not_flatten_the_picture() -> None:
     assert near_rules({"random": -0.5}, 4.0, 4.0) == {"random"}
     axes = Figure().add_subplot()
     axes.plot([0, 1], [90.0, 250.0])
-    draw_rules(axes, rules)
+    plot_rules(axes, rules)
     assert axes.get_ylim()[0] > 0
     assert "rule random (off scale: -1,819)" in [line.get_label() for line in axes.lines]
     scores = pd.DataFrame({"iqm": [90.0, 250.0], "iqm_low": [80.0, 200.0], "iqm_high": [99.0, 290.0]})

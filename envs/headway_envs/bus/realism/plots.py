@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.collections import LineCollection
 
 
-def draw_time_space(
+def plot_time_space(
     axes: "Axes",
     calls: pd.DataFrame,
     pattern: int,
@@ -21,7 +21,7 @@ def draw_time_space(
     hours: tuple[float, float],
     fullest: float = 75.0,
 ) -> "LineCollection":
-    """Draw one line per bus of the pattern, over time and km from the first call; return the lines.
+    """Plot one line per bus of the pattern, over time and km from the first call; return the lines.
 
     Lines are coloured by load (up to `fullest`) and horizontal where the bus stands; they are returned for a
     colour bar. `calls`: those of one day; `km`: by pattern and seq0; `hours`: limits of the time axis.
@@ -50,7 +50,7 @@ def draw_time_space(
     return lines
 
 
-def draw_load_profile(
+def plot_load_profile(
     axes: "Axes", days: Mapping[str, pd.DataFrame], pattern: int, expected: "pd.Series[float] | None" = None
 ) -> None:
     """Plot the mean number of passengers aboard at departure, by call of a pattern.
@@ -81,10 +81,10 @@ def draw_load_profile(
     axes.legend()
 
 
-def draw_headways_along(axes: "Axes", statistics: Mapping[str, Mapping[str, float]]) -> None:
-    """Draw the headway CV by fifth of the route, for each of `statistics` (name: statistics by name).
+def plot_headways_along(axes: "Axes", statistics: Mapping[str, Mapping[str, float]]) -> None:
+    """Plot the headway CV by fifth of the route, one line per entry of `statistics`.
 
-    Missing fifths are left out, and so are entries without any.
+    `statistics`: label -> statistic -> value. Fifths without a value are left out.
     """
     fifths = list(range(1, FIFTHS + 1))
     for name, values in statistics.items():

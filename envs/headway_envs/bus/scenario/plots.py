@@ -28,7 +28,7 @@ _HEADWAYS_MIN = (5.0, 60.0)
 """Ends of the colour scale of headways, minutes."""
 
 
-def draw_scenario(tables: Tables, day: str, title: str) -> "Figure":
+def plot_scenario(tables: Tables, day: str, title: str) -> "Figure":
     """Return a plot of one day type. Raises HeadwayError if the day type has no trips.
 
     Left: a map with links as wide as their number of passengers per day, coloured by line for up to ten
@@ -44,16 +44,16 @@ def draw_scenario(tables: Tables, day: str, title: str) -> "Figure":
     places: Any = figure.subplot_mosaic(
         [["map", "buses"], ["map", "boardings"], ["map", "headways"]], width_ratios=[2.0, 1.0]
     )
-    _draw_map(places["map"], tables, trips, day)
-    _draw_buses(places["buses"], trips)
-    _draw_boardings(places["boardings"], tables, day)
-    _draw_headways(places["headways"], trips)
+    _plot_map(places["map"], tables, trips, day)
+    _plot_buses(places["buses"], trips)
+    _plot_boardings(places["boardings"], tables, day)
+    _plot_headways(places["headways"], trips)
     figure.suptitle(title)
     return figure
 
 
-def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> None:
-    """Draw the links by load and the stops by boardings."""
+def _plot_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> None:
+    """Plot the links by load and the stops by boardings."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import LineCollection
@@ -77,7 +77,7 @@ def _draw_map(axes: "Axes", tables: Tables, trips: pd.DataFrame, day: str) -> No
     of_lines = len(lines) <= _LINE_COLOURS
     ways = ["from_stop", "stop", *(["line"] if of_lines else [])]
     links = inner.groupby(ways, as_index=False)[["load", "departures"]].sum()
-    # Wide links are drawn first, so that other lines on the same links stay visible on top.
+    # Wide links are plotted first, so that other lines on the same links stay visible on top.
     links = links.sort_values("load", ascending=not of_lines)
     ends = [
         np.column_stack((x.reindex(links[stop]).to_numpy(), y.reindex(links[stop]).to_numpy()))
@@ -141,21 +141,21 @@ def _widened(limits: tuple[float, float], least: float) -> tuple[float, float]:
     return limits[0] - more, limits[1] + more
 
 
-def _draw_buses(axes: "Axes", trips: pd.DataFrame) -> None:
+def _plot_buses(axes: "Axes", trips: pd.DataFrame) -> None:
     times, buses = buses_at_once(trips)
     axes.plot(times / 3600.0, buses, color="#0072B2", linewidth=1.0, drawstyle="steps-post")
     axes.set_ylim(bottom=0)
     axes.set_title(f"buses on the road (maximum {buses.max():,})", fontsize="medium")
 
 
-def _draw_boardings(axes: "Axes", tables: Tables, day: str) -> None:
+def _plot_boardings(axes: "Axes", tables: Tables, day: str) -> None:
     by_hour = tables.demand[tables.demand["daytype"] == day].groupby("hour")["board"].sum()
     axes.bar(by_hour.index.to_numpy(np.float64) + 0.5, by_hour.to_numpy(), width=0.9, color="#009E73")
     axes.set_title(f"boardings per hour ({by_hour.sum():,.0f} per day)", fontsize="medium")
 
 
-def _draw_headways(axes: "Axes", trips: pd.DataFrame) -> None:
-    """Draw the quartiles over patterns of the time between departures, by hour."""
+def _plot_headways(axes: "Axes", trips: pd.DataFrame) -> None:
+    """Plot the quartiles over patterns of the time between departures, by hour."""
     ordered = trips.sort_values(["pattern", "dep_s"])
     gap = ordered["dep_s"].diff().where(ordered["pattern"] == ordered["pattern"].shift()) / 60.0
     hour = (ordered["dep_s"] // 3600)[gap.notna()]

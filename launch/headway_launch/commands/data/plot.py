@@ -32,7 +32,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Plot, and print the path of the picture."""
     if arguments.seed < 0:
         raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
-    from headway_envs.bus.scenario.plots import draw_scenario
+    from headway_envs.bus.scenario.plots import plot_scenario
     from headway_envs.bus.scenario.source import scenario_tables
 
     name = Path(arguments.scenario).name
@@ -42,6 +42,6 @@ def execute(arguments: argparse.Namespace) -> int:
     day = arguments.day_type or ("weekday" if "weekday" in there else "sunday")
     lines = tables.patterns["line"].nunique()
     title = f"{name}: {lines:,} lines, {len(tables.stops):,} stops, {day}"
-    write_figure(draw_scenario(tables, day, title), output)
+    write_figure(plot_scenario(tables, day, title), output)
     print(output)
     return 0
