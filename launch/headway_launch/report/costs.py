@@ -7,7 +7,7 @@ from headway_launch.report.parts import (
     Picture,
     Section,
     Table,
-    figure,
+    formatted,
     scale_of,
     with_deviation,
 )
@@ -47,9 +47,9 @@ def energy_section(data: StudyData) -> Section:
                 with_deviation(of_cell["kwh"] * kwh_factor, of_cell["kwh_std"] * kwh_factor),
                 *([co2] if emitted else []),
                 with_deviation(of_cell["cpu_seconds"], of_cell["cpu_seconds_std"]),
-                *(figure(of_cell[part] * kwh_factor) for part in _PARTS),
-                figure(total["kwh"] * kwh_factor),
-                figure(total["cpu_seconds"]),
+                *(formatted(of_cell[part] * kwh_factor) for part in _PARTS),
+                formatted(total["kwh"] * kwh_factor),
+                formatted(total["cpu_seconds"]),
             ]
         )
     body: list[Part] = [
@@ -103,26 +103,28 @@ def energy_section(data: StudyData) -> Section:
 
 
 def tradeoff_section(data: StudyData) -> Section:
-    """Return the picture of reward against energy, one point per run; CPU seconds if energy is unknown."""
+    """Return the section with reward against energy, one point per run; CPU seconds if energy is unknown."""
+    reward = f"{data.metric_label[0].upper()}{data.metric_label[1:]}"
     runs = data.scores.join(data.summaries[["kwh", "cpu_seconds"]])
     known = runs[runs["kwh"].notna()]
     body: list[Part] = []
     if len(known):
         unit, factor = scale_of(float(known["kwh"].max()), "kWh")
-        points, cost, label = known, "kwh", f"{unit} per run"
+        points, cost, label, title = known, "kwh", f"{unit} per run", f"{reward} against energy"
     else:
         body.append("Energy was not measured, so CPU seconds are shown instead.")
         points, cost, factor, label = runs[runs["cpu_seconds"].notna()], "cpu_seconds", 1.0, "CPU s per run"
+        title = f"{reward} against CPU seconds"
     if not len(points):
-        return Section("tradeoff", "Reward against energy", ["Neither energy nor CPU seconds are known."])
+        return Section("tradeoff", f"{reward} against cost", ["Neither energy nor CPU seconds are known."])
     picture = plots.reward_against_cost(
         points, cost, factor, (label, f"final {data.metric_label}"), data.styles, data.sign
     )
     caption = (
         f"Final {data.metric_label} against cost per run: one dot per seed, a ring at each controller's mean."
     )
-    body.append(Picture("reward_against_energy", caption, picture))
-    return Section("tradeoff", f"{data.metric_label[0].upper()}{data.metric_label[1:]} against energy", body)
+    body.append(Picture("reward_against_cost", caption, picture))
+    return Section("tradeoff", title, body)
 
 
 def _power_sources(data: StudyData) -> str:
@@ -140,5 +142,5 @@ def _power_sources(data: StudyData) -> str:
     return (
         f"Measured by CodeCarbon, offline; {mix}. Source of the power values: {'; '.join(sources)}. An "
         "estimate from the processor's name or load may be far from a metered value; CPU seconds are "
-        "counted by the operating system and shown beside it."
+        "counted by the operating system and shown beside the energy."
     )

@@ -3,7 +3,15 @@
 import pandas as pd
 
 from headway.stats import frames, plots
-from headway_launch.report.parts import Part, Picture, Section, Table, figure, with_deviation, with_interval
+from headway_launch.report.parts import (
+    Part,
+    Picture,
+    Section,
+    Table,
+    formatted,
+    with_deviation,
+    with_interval,
+)
 from headway_launch.report.study_data import StudyData
 
 _COMPONENT = "reward_"
@@ -34,7 +42,7 @@ def curves_section(data: StudyData) -> Section:
         body.append(f"Sample efficiency over all environments is omitted: {_missing_scale(data)}.")
         return Section("curves", "Learning curves", body)
     found = frames.efficiency(curves[curves["controller"].isin(data.trained_on_all_tasks)])
-    left_out = [name for name in data.trained_on_all_tasks if name not in set(found["controller"])]
+    without = [name for name in data.trained_on_all_tasks if name not in set(found["controller"])]
     if len(found):
         body.append(
             Picture(
@@ -45,8 +53,11 @@ def curves_section(data: StudyData) -> Section:
                 plots.learning_curves(found, {}, f"IQM of {label}", data.styles, sign=sign),
             )
         )
-    if left_out:
-        body.append(f"No sample-efficiency curve, because the runs share no steps: {', '.join(left_out)}.")
+    if without:
+        runs = "its runs" if len(without) == 1 else "the runs of each"
+        body.append(
+            f"No sample-efficiency curve for {', '.join(without)}: {runs} have no evaluation step in common."
+        )
     return Section("curves", "Learning curves", body)
 
 
@@ -116,7 +127,7 @@ def episode_metrics_section(data: StudyData) -> Section:
                 f"Episode metrics{where}.",
                 ["metric", *columns],
                 [
-                    [str(metric), *map(figure, row)]
+                    [str(metric), *map(formatted, row)]
                     for metric, row in zip(means.index, means.to_numpy(), strict=True)
                 ],
                 means.rename_axis("metric").reset_index(),
@@ -158,5 +169,6 @@ def _missing_scale(data: StudyData) -> str:
         return ""
     return (
         f"{', '.join(missing)} {'lacks' if len(missing) == 1 else 'lack'} the random rule (score 0) or a "
-        "rule better than it (score 1) on the episodes of the curves; add `random` to `evaluation.rules`"
+        "rule better than it (score 1) on the episodes of the curves; add `random` and at least one rule "
+        "that beats it to `evaluation.rules`"
     )

@@ -83,10 +83,10 @@ def _write_part(part: Part, folder: Path) -> list[Path]:
     """Write a part to its files; return their paths."""
     match part:
         case Table(name=name, data=data):
-            table, figures = (folder / "tables" / f"{name}.{kind}" for kind in ("md", "csv"))
+            table, csv = (folder / "tables" / f"{name}.{kind}" for kind in ("md", "csv"))
             table.write_text(markdown(part), encoding="utf-8")
-            data.to_csv(figures, index=False)
-            return [table, figures]
+            data.to_csv(csv, index=False)
+            return [table, csv]
         case Picture(name=name, figure=figure):
             picture = folder / "pictures" / f"{name}.png"
             figure.savefig(picture, dpi=200)

@@ -65,7 +65,7 @@ class Section:
     body: list[Part] = field(default_factory=list)
 
 
-def figure(value: float | None, digits: int = _DIGITS) -> str:
+def formatted(value: float | None, digits: int = _DIGITS) -> str:
     """Format a number to `digits` significant digits, whole parts in full; a dash if it is unknown."""
     if value is None or not math.isfinite(value):
         return MISSING

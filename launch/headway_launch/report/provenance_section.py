@@ -9,23 +9,23 @@ import pandas as pd
 from headway.contracts.errors import HeadwayError
 from headway.stats import FEWEST_POINTS
 from headway.store import RunRow
-from headway_launch.report.parts import MISSING, Listing, Part, Section, Table, figure, scale_of
+from headway_launch.report.parts import MISSING, Listing, Part, Section, Table, formatted, scale_of
 from headway_launch.report.reproduction_line import reproducing_line
 from headway_launch.report.study_data import StudyData
 from headway_launch.runner.recorder import TRACEBACK
 from headway_launch.studies.runs import configuration
 
 _SHOWN = ("final_reward", "auc", "env_steps", "kwh", "cpu_seconds", "steps_per_second", "duration_s")
-_FIGURES = (*_SHOWN, "kg_co2")
+_METRICS = (*_SHOWN, "kg_co2")
 _MOST_VALUES = 3
 """Maximum number of values of a tag that are listed; if there are more, only their number is given."""
 
 
 def runs_section(data: StudyData) -> Section:
     """Return the section with every run of the study, including excluded ones."""
-    counted = {row.run_id for row in data.runs.rows}
+    included = {row.run_id for row in data.runs.rows}
     every = data.all_runs.summaries().set_index("run_id")
-    for name in _FIGURES:
+    for name in _METRICS:
         every[name] = pd.to_numeric(every[name]) if name in every else float("nan")
     largest = every["kwh"].max()
     unit, factor = scale_of(float(largest) if largest > 0 else 1.0, "kWh")
@@ -33,17 +33,17 @@ def runs_section(data: StudyData) -> Section:
     rows = [
         [
             run.run_id,
-            run.status if run.status != "FINISHED" or run.run_id in counted else "FINISHED, superseded",
-            *(figure(float(value)) for value in shown[run.run_id].values()),
+            run.status if run.status != "FINISHED" or run.run_id in included else "FINISHED, superseded",
+            *(formatted(float(value)) for value in shown[run.run_id].values()),
         ]
         for run in data.all_runs.rows
     ]
     lines = [_line(run) for run in data.all_runs.rows]
-    exact = every[["label", "seed", "status", "started", *_FIGURES]]
-    exact = exact.assign(counted=[run in counted for run in exact.index], reproduce=lines)
+    exact = every[["label", "seed", "status", "started", *_METRICS]]
+    exact = exact.assign(included=[run in included for run in exact.index], reproduce=lines)
     body: list[Part] = []
-    if data.left_out:
-        body.append(f"Excluded from all results on this page: {'; '.join(data.left_out)}.")
+    if data.excluded:
+        body.append(f"Excluded from all results on this page: {'; '.join(data.excluded)}.")
     body += [f"{row.run_id} failed: {_reason(row)}" for row in data.all_runs.rows if row.status == "FAILED"]
     body.append(
         Table(

@@ -1,4 +1,4 @@
-"""Sections on final rewards: means and AUC, interquartile means, differences to rules, and comparisons."""
+"""Sections on final rewards: means and AUC, interquartile means, differences from rules, and comparisons."""
 
 from typing import Any
 
@@ -12,11 +12,11 @@ from headway_launch.report.parts import (
     Picture,
     Section,
     Table,
-    figure,
+    formatted,
     with_deviation,
     with_interval,
 )
-from headway_launch.report.study_data import DifferenceToBest, StudyData, mean_of_known
+from headway_launch.report.study_data import DifferenceFromBest, StudyData, mean_of_known
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 
@@ -35,7 +35,7 @@ def final_reward_section(data: StudyData) -> Section:
             rules.add(len(rows))
             before, after = [MISSING] * 3 * (len(_curves(data)) - 1), [MISSING] * 2
             rows.append(
-                [*_environment_cell(data, task), f"rule {rule}", MISSING, *before, figure(value), *after]
+                [*_environment_cell(data, task), f"rule {rule}", MISSING, *before, formatted(value), *after]
             )
             name = f"{data.mode}_final_reward_mean"
             exact.append({"environment": task, "controller": f"rule {rule}", name: value})
@@ -136,7 +136,7 @@ def _curve_results(data: StudyData, runs: list[str]) -> tuple[list[str], dict[st
 
 
 def interquartile_section(data: StudyData) -> Section:
-    """Return the section with interquartile means, their intervals, and differences to the best rule."""
+    """Return the section with interquartile means, their intervals, and differences from the best rule."""
     body: list[Part] = [
         "The interquartile mean discards the best and the worst quarter of the seeds, so that a single "
         "lucky or failed seed does not decide the result. A learner is called better or worse than the best "
@@ -154,7 +154,7 @@ def interquartile_section(data: StudyData) -> Section:
             "compared with a simple rule."
         )
     elif reasons:
-        body.append(f"No difference to the best rule is given for {'; '.join(reasons)}.")
+        body.append(f"No difference from the best rule is given for {'; '.join(reasons)}.")
     body += _single_seeds(data)
     for place, task in enumerate(data.tasks):
         found = frames.summary(data.scores_on(task))
@@ -184,7 +184,7 @@ def _interquartile_table(data: StudyData) -> Table:
             last = float(episodes.to_numpy().mean()) if episodes.size else float("nan")
             iqm = with_interval(found["iqm"], found["iqm_low"], found["iqm_high"])
             place = [*_environment_cell(data, task), str(name), str(seeds)]
-            rows.append([*place, iqm, figure(last), *_against(data, against, seeds)])
+            rows.append([*place, iqm, formatted(last), *_against(data, against, seeds)])
             learner = {"environment": task, "controller": name, "last_evaluation": last}
             learner |= {str(column): value for column, value in found.items()}
             exact.append(learner | _exact(against))
@@ -192,7 +192,7 @@ def _interquartile_table(data: StudyData) -> Table:
             against, mean = data.rule_against_best(task, rule), float(data.by_episode(task, rule).mean())
             rules.add(len(rows))
             place = [*_environment_cell(data, task), f"rule {rule}", MISSING, MISSING]
-            rows.append([*place, figure(mean), *_against(data, against, None)])
+            rows.append([*place, formatted(mean), *_against(data, against, None)])
             of_rule = {"environment": task, "controller": f"rule {rule}", "last_evaluation": mean}
             exact.append({**of_rule, **_exact(against)})
     names = ["controller", "seeds", f"IQM of final {data.metric_label} [95%]", "last evaluation"]
@@ -205,7 +205,7 @@ def _interquartile_table(data: StudyData) -> Table:
         [
             *_environment_heading(data),
             *names,
-            "difference to best rule [95% interval]",
+            "difference from the best rule [95% interval]",
             "interval over",
             "conclusion",
         ],
@@ -237,7 +237,7 @@ def improvement_section(data: StudyData) -> Section:
         scores = data.scores_on(task)
         by_name = {str(name): of_name.to_numpy() for name, of_name in scores.groupby("controller")["score"]}
         if off := plots.outliers(by_name, data.sign):
-            caption += f" Outside the axis: {', '.join(f'{name} ({figure(off[name])})' for name in off)}."
+            caption += f" Outside the axis: {', '.join(f'{name} ({formatted(off[name])})' for name in off)}."
         thresholds = frames.even_thresholds(scores[~scores["controller"].isin(list(off))])
         profiles = frames.profiles(scores, thresholds)
         picture = plots.performance_profiles(profiles, f"final {data.metric_label}", data.styles)
@@ -267,7 +267,7 @@ def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
     ]
 
 
-def _against(data: StudyData, against: DifferenceToBest, seeds: int | None) -> list[str]:
+def _against(data: StudyData, against: DifferenceFromBest, seeds: int | None) -> list[str]:
     """Return cells: difference, sample of its interval, conclusion. `seeds` is None for rules."""
     found = against.interval
     if found is None:
@@ -282,7 +282,7 @@ def _against(data: StudyData, against: DifferenceToBest, seeds: int | None) -> l
     return [shown, found.method.removeprefix("t over "), conclusion]
 
 
-def _exact(against: DifferenceToBest) -> dict[str, float | str]:
+def _exact(against: DifferenceFromBest) -> dict[str, float | str]:
     found = against.interval
     if found is None:
         return {}
@@ -298,9 +298,10 @@ def _single_seeds(data: StudyData) -> list[str]:
     alone = [name for (_, name), members in data.cells.items() if len(members) == 1]
     if not alone:
         return []
+    names = list(dict.fromkeys(alone))
     return [
-        f"Only one seed was trained of {', '.join(dict.fromkeys(alone))}: the variation between seeds is "
-        "unknown, so no standard deviation and no interval over seeds is given."
+        f"Only one seed {'each ' if len(names) > 1 else ''}of {', '.join(names)} was trained: the variation "
+        "between seeds is unknown, so no standard deviation and no interval over seeds is given."
     ]
 
 
@@ -326,9 +327,12 @@ def _evaluation_episodes(data: StudyData) -> str:
     """Describe the episodes of the curves and of the last evaluation."""
     kinds = {(data.curve_episodes(task), data.last_episodes(task)) for task in data.tasks}
     if len(kinds) > 1:
-        return "the episodes of the curves, the first of the last evaluation's episodes"
+        return "the episodes of the curves, which are also the first of the last evaluation's episodes"
     [(curves, last)] = kinds
-    return f"{curves} per point of the curves, the first of the last evaluation's {last}"
+    number, _, noun = curves.partition(" ")
+    first = {"episode": "is also the first", "episodes": f"are also the first {number}"}
+    which = first.get(noun, "are also the first")
+    return f"{curves} per point of the curves, which {which} of the last evaluation's {last}"
 
 
 def _environment_heading(data: StudyData) -> list[str]:

@@ -7,7 +7,7 @@ from headway.wording import counted
 from headway_launch.report.costs import energy_section, tradeoff_section
 from headway_launch.report.learning import across_environments, curves_section, episode_metrics_section
 from headway_launch.report.page import Report
-from headway_launch.report.parts import Section, figure, scale_of, with_interval
+from headway_launch.report.parts import Section, formatted, scale_of, with_interval
 from headway_launch.report.provenance_section import provenance_section, runs_section
 from headway_launch.report.published import published_sections
 from headway_launch.report.rewards import final_reward_section, improvement_section, interquartile_section
@@ -55,8 +55,8 @@ def _summary(data: StudyData) -> list[str]:
             f"better: a claim needs at least {SEEDS_FOR_A_CLAIM}."
         )
     sentences.append(_cost(data))
-    if data.left_out:
-        sentences.append(f"Excluded runs: {'; '.join(data.left_out)}.")
+    if data.excluded:
+        sentences.append(f"Excluded runs: {'; '.join(data.excluded)}.")
     return sentences
 
 
@@ -70,13 +70,13 @@ def _best_learner(data: StudyData, task: str) -> str:
     episodes = f"{data.curve_episodes(task)} per evaluation"
     if len(means) == 1:
         return (
-            f"`{names[0]}` has a mean final {data.metric_label} of {figure(best * data.sign)} over {seeds} "
-            f"on {task} ({episodes})."
+            f"`{names[0]}` has a mean final {data.metric_label} of {formatted(best * data.sign)} over "
+            f"{seeds} on {task} ({episodes})."
         )
     return (
         f"{where} the learners, {' and '.join(f'`{name}`' for name in names)} "
         f"{'has' if len(names) == 1 else 'have'} the {kind} mean final {data.metric_label}: "
-        f"{figure(best * data.sign)} over {seeds} ({episodes})."
+        f"{formatted(best * data.sign)} over {seeds} ({episodes})."
     )
 
 
@@ -84,16 +84,17 @@ def _against_rules(data: StudyData, task: str) -> list[str]:
     if task not in data.best_rules:
         return [
             f"No rule was run on {task}, so it is unknown whether learning beats a simple rule. A sweep "
-            "runs the rules once all of its runs have ended; `headway compare` runs them at any time."
+            "evaluates the rules once all of its runs have ended; `headway compare` evaluates them at any "
+            "time, but stores nothing."
         ]
     rule = data.best_rules[task]
     better, worse, undecided = [], [], []
-    unknown: dict[str, None] = {}
+    unknown: dict[str, str] = {}
     for controller in data.on(task):
         against = data.against_best_rule(task, controller)
         found = against.interval
         if found is None:
-            unknown[against.reason] = None
+            unknown[controller] = against.reason
             continue
         shown = f"`{controller}` ({with_interval(found.estimate, found.low, found.high, sign=True)})"
         if not found.excludes_zero:
@@ -109,14 +110,16 @@ def _against_rules(data: StudyData, task: str) -> list[str]:
             ("worse (above it)", worse),
             ("no difference shown", undecided),
         )
-    text = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds if names)
-    if not text:
-        why = "; ".join(unknown)
-        return [f"The best rule on {task} is `{rule}`; the learners' difference to it is unknown: {why}."]
+    known = [f"{kind}: {', '.join(names)}" for kind, names in kinds if names]
+    if not known:
+        why = "; ".join(dict.fromkeys(unknown.values()))
+        return [f"The best rule on {task} is `{rule}`; the learners' difference from it is unknown: {why}."]
+    if unknown:
+        known.append("unknown: " + ", ".join(f"`{name}` ({reason})" for name, reason in unknown.items()))
     episodes = data.last_episodes(task)
     return [
         f"Compared with the best rule on {task}, `{rule}`, in the last evaluation ({episodes}) [95% "
-        f"intervals]: {text}."
+        f"intervals]: {'; '.join(known)}."
     ]
 
 
@@ -124,19 +127,21 @@ def _cost(data: StudyData) -> str:
     used = data.summaries
     measured = used[used["kwh"].notna()]
     if measured.empty:
-        cpu = figure(used["cpu_seconds"].sum())
+        cpu = formatted(used["cpu_seconds"].sum())
         return f"The finished runs used {cpu} CPU seconds; their energy was not measured."
     kwh = float(measured["kwh"].sum())
     kwh_unit, kwh_factor = scale_of(kwh, "kWh")
     runs = "The finished runs"
     if len(measured) < len(used):
         runs = f"The {len(measured)} of {counted(len(used), 'finished run')} with measured energy"
-    total = f"{figure(kwh * kwh_factor)} {kwh_unit} ({figure(measured['cpu_seconds'].sum())} CPU seconds)"
+    total = (
+        f"{formatted(kwh * kwh_factor)} {kwh_unit} ({formatted(measured['cpu_seconds'].sum())} CPU seconds)"
+    )
     if measured["kg_co2"].isna().any():
         return f"{runs} used {total}."
     co2 = float(measured["kg_co2"].sum())
     co2_unit, co2_factor = scale_of(co2, "kg")
-    emitted = f"{figure(co2 * co2_factor)} {co2_unit} of CO2eq"
+    emitted = f"{formatted(co2 * co2_factor)} {co2_unit} of CO2eq"
     return f"{runs} used {total}, equivalent to {emitted}."
 
 

@@ -19,9 +19,9 @@ from headway_launch.experiments.parameters import flat
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference
 from headway_launch.studies.runs import (
     configuration,
-    counted_runs,
     curve_points,
     curves_of,
+    included_runs,
     rules_beside,
     study_runs,
 )
@@ -34,8 +34,8 @@ RANDOM = "random"
 
 
 @dataclass(frozen=True)
-class DifferenceToBest:
-    """Difference of a controller to the best rule of its task on common episodes; None if unknown."""
+class DifferenceFromBest:
+    """Difference of a controller from the best rule of its task on common episodes; None if unknown."""
 
     interval: Interval | None
     reason: str = ""
@@ -64,13 +64,13 @@ class StudyData:
     ) -> None:
         self.study, self.lower_is_better, self.low = study, lower_is_better, low
         self.all_runs = RunSelection(root, tuple(study_runs(root, study)))
-        counted, self.left_out = counted_runs(self.all_runs.rows, study)
-        self.runs = RunSelection(root, tuple(counted))
+        included, self.excluded = included_runs(self.all_runs.rows, study)
+        self.runs = RunSelection(root, tuple(included))
         self.metric = metric or self._default_metric()
         group, _, self.column = self.metric.rpartition("/")
         if not group.startswith("evaluation_"):
             raise HeadwayError(
-                f"--metric: {self.metric!r} is no evaluation metric; write evaluation_greedy/NAME or "
+                f"--metric: {self.metric!r} is not an evaluation metric; write evaluation_greedy/NAME or "
                 "evaluation_sampled/NAME"
             )
         self.mode = group.removeprefix("evaluation_")
@@ -98,7 +98,7 @@ class StudyData:
 
     @cached_property
     def cells(self) -> dict[tuple[str, str], list["RunRow"]]:
-        """Counted runs by task and controller, in the order of `tasks` and `controllers`."""
+        """Included runs by task and controller, in the order of `tasks` and `controllers`."""
         found: dict[tuple[str, str], list[RunRow]] = {}
         for row in self.runs.rows:
             name = self.runs.names[row.cell]
@@ -255,29 +255,33 @@ class StudyData:
         of_rule = self.rules[(self.rules["task"] == task) & (self.rules["rule"] == rule)]
         return of_rule.set_index("episode_seed")[self.column]
 
-    def against_best_rule(self, task: str, controller: str) -> DifferenceToBest:
-        """Return a learner's episodes minus the best rule's."""
+    def against_best_rule(self, task: str, controller: str) -> DifferenceFromBest:
+        """Return the paired difference of the metric, learner minus the task's best rule.
+
+        Over the common episodes of the last evaluation, with the 95% interval; None, with the reason, if it
+        is unknown.
+        """
         if task not in self.best_rules:
-            return DifferenceToBest(None, "no rule was run")
+            return DifferenceFromBest(None, "no rule was run")
         best = self.by_episode(task, self.best_rules[task])
         return self.paired(task, self.by_seed(task, controller, self.column), best)
 
-    def rule_against_best(self, task: str, rule: str) -> DifferenceToBest:
-        """Return a rule's episodes minus the best rule's."""
+    def rule_against_best(self, task: str, rule: str) -> DifferenceFromBest:
+        """Return the paired difference of the metric, rule minus best rule; None for the best rule itself."""
         if rule == self.best_rules[task]:
-            return DifferenceToBest(None)
+            return DifferenceFromBest(None)
         best = self.by_episode(task, self.best_rules[task])
         return self.paired(task, self.by_episode(task, rule).to_frame().T, best)
 
-    def paired(self, task: str, learned: pd.DataFrame, best: "pd.Series[float]") -> DifferenceToBest:
+    def paired(self, task: str, learned: pd.DataFrame, best: "pd.Series[float]") -> DifferenceFromBest:
         """Return a learner's values (as from `by_seed`) minus a rule's on their common episodes."""
         if len(self._evaluation_seeds(task)) > 1:
-            return DifferenceToBest(None, "the cells were evaluated on different episodes")
+            return DifferenceFromBest(None, "the cells were evaluated on different episodes")
         common = [seed for seed in learned.columns if seed in best.index]
         whole = learned[common].dropna(axis="columns")
         if whole.shape[1] < 2:
-            return DifferenceToBest(None, "fewer than two common episodes")
-        return DifferenceToBest(difference(whole.to_numpy().tolist(), best[whole.columns].tolist()))
+            return DifferenceFromBest(None, "fewer than two common episodes")
+        return DifferenceFromBest(difference(whole.to_numpy().tolist(), best[whole.columns].tolist()))
 
     def _evaluation_seeds(self, task: str) -> set[int]:
         return {int(configuration(row.directory)["evaluation"]["seed"]) for row in self._runs_on(task)}

@@ -24,10 +24,10 @@ def finished_runs(root: Path, study: str) -> list["RunRow"]:
 
     Raises HeadwayError if there is no such study or no run in it has finished.
     """
-    finished, left_out = counted_runs(study_runs(root, study), study)
-    if left_out:
-        print_line(f"headway: runs of {study} left out: {', '.join(left_out)}")
-    return finished
+    included, excluded = included_runs(study_runs(root, study), study)
+    if excluded:
+        print_line(f"headway: runs of {study} left out: {', '.join(excluded)}")
+    return included
 
 
 def study_runs(root: Path, study: str) -> list["RunRow"]:
@@ -41,8 +41,8 @@ def study_runs(root: Path, study: str) -> list["RunRow"]:
     return [row for row in rows if row.study == study]
 
 
-def counted_runs(rows: Sequence["RunRow"], study: str) -> tuple[list["RunRow"], list[str]]:
-    """Return the runs of a study that count, as `finished_runs`, and one phrase per kind of runs left out.
+def included_runs(rows: Sequence["RunRow"], study: str) -> tuple[list["RunRow"], list[str]]:
+    """Return the runs that results include, as `finished_runs`, and one phrase per kind of excluded runs.
 
     `rows`: all runs of the study. Raises HeadwayError if none has finished.
     """
@@ -54,10 +54,10 @@ def counted_runs(rows: Sequence["RunRow"], study: str) -> tuple[list["RunRow"], 
     if not finished:
         raise HeadwayError(f"study {study!r} has no finished run ({kinds}); see headway runs --study {study}")
     newest = newest_runs(finished)
-    left_out = [f"{others.total()} not finished ({kinds})"] if others else []
+    excluded = [f"{others.total()} not finished ({kinds})"] if others else []
     if repeats := len(finished) - len(newest):
-        left_out.append(f"{repeats} superseded by a newer run of the same seed")
-    return newest, left_out
+        excluded.append(f"{repeats} superseded by a newer run of the same seed")
+    return newest, excluded
 
 
 def curves_of(runs: "RunSelection", metric: str) -> "pd.DataFrame":

@@ -43,7 +43,8 @@ def keep_run_in() -> Callable[[Path], Callable[..., Path]]:
 def keeper(root: Path) -> Callable[..., Path]:
     """Return a function that stores a run whose curve climbs from 0 to `final`; evaluation episode i returns
     `final` + i, a rule's returns its value + i. `metrics` are the same in all episodes, for rules unless
-    `rule_metrics` differs. Episodes end during training in the iterations `trained` (default: in all)."""
+    `rule_metrics` differs. Episodes end during training in the iterations `trained` (default: in all). The
+    last evaluation has `last` episodes."""
 
     def keep(
         overrides: Sequence[str],
@@ -56,6 +57,7 @@ def keeper(root: Path) -> Callable[..., Path]:
         points: int = 5,
         rule_metrics: Mapping[str, float] | None = None,
         trained: Collection[int] | None = None,
+        last: int = EPISODES,
         **metrics: float,
     ) -> Path:
         experiment = composed((*overrides, f"study={study}", "evaluation.episodes=2"))
@@ -83,7 +85,7 @@ def keeper(root: Path) -> Callable[..., Path]:
                 row["training/return"] = value / 2
             log.append("curve", [{**row, "evaluation_greedy/return": value, **_of_curve(metrics)}])
         label = {"iteration": 4, "env_steps": 40, "mode": "greedy", "final": 1, "length": 5}
-        days = [{**label, "episode_seed": day, "return": final + day, **metrics} for day in range(EPISODES)]
+        days = [{**label, "episode_seed": day, "return": final + day, **metrics} for day in range(last)]
         log.append("evaluation", days)
         log.commit(4)
         played = {

@@ -13,11 +13,13 @@ from typing import Any, Protocol
 
 import pandas as pd
 import pytest
+from sections import words
 
 from headway.contracts.errors import HeadwayError
 from headway.stats import paired_difference_over_seeds
 from headway.store import Status
 from headway_launch.commands.main import run as run_command
+from headway_launch.report.learning import curves_section
 from headway_launch.report.page import Report, html, write_report
 from headway_launch.report.parts import Listing, Picture, Section, Table
 from headway_launch.report.sections import report_of
@@ -38,6 +40,7 @@ class KeepRun(Protocol):
         energy: Mapping[str, Any] | None = None,
         points: int = 5,
         trained: Collection[int] | None = None,
+        last: int = 4,
         **metrics: float,
     ) -> Path: ...
 
@@ -145,8 +148,8 @@ def test_every_result_of_the_summary_names_its_episodes(two: Two, keep_run: Keep
     assert best.endswith("the highest mean final reward: 6 over 3 seeds (2 episodes per evaluation).")
     assert "`optimal`, in the last evaluation (4 episodes) [95% intervals]" in against
     assert (
-        "evaluated on 2 episodes per point of the curves, the first of the last evaluation's 4 episodes;"
-        in text_of(report)
+        "evaluated on 2 episodes per point of the curves, which are also the first 2 of the last "
+        "evaluation's 4 episodes;" in text_of(report)
     )
     copytree(two.root, root)
     configured = keep_run((*TRACKING, "algo=ippo"), 3, 5.0) / "config.yaml"
@@ -192,7 +195,7 @@ def test_captions_name_a_cell_that_diverged(two: Two, keep_run: KeepRun, root: P
     }
     assert pictures["profiles"].get_xlim()[0] > -10
     assert pictures["learning_curves"].get_ylim()[0] == -30
-    assert pictures["reward_against_energy"].get_ylim()[0] > -30
+    assert pictures["reward_against_cost"].get_ylim()[0] > -30
 
 
 @pytest.mark.parametrize(("lower", "diverged"), [(False, False), (True, False), (True, True)])
@@ -211,7 +214,7 @@ def test_a_far_better_cell_is_drawn(
         for part in section.body
         if isinstance(part, Picture)
     }
-    for name in ("learning_curves", "intervals", "profiles", "reward_against_energy"):
+    for name in ("learning_curves", "intervals", "profiles", "reward_against_cost"):
         reach = [*pictures[name].get_xlim(), *pictures[name].get_ylim()]
         assert (max(map(abs, reach)) > 50_000) != diverged, name
 
@@ -346,6 +349,24 @@ def test_energy_that_was_not_measured_is_not_zero(keep_run: KeepRun, root: Path)
     assert not {"energy", "footprint"} & names(report)
 
 
+@pytest.mark.parametrize(
+    ("energy", "title"),
+    [
+        (KNOWN, "Reward against energy"),
+        ({}, "Reward against CPU seconds"),
+        ({"cpu_seconds": None}, "Reward against cost"),
+    ],
+)
+def test_title_names_the_cost_that_is_shown(
+    keep_run: KeepRun, root: Path, energy: Mapping[str, Any], title: str
+) -> None:
+    for seed in range(2):
+        keep_run(TRACKING, seed, 1.0, energy=energy)
+    [section] = [section for section in made(root).sections if section.anchor == "tradeoff"]
+    assert section.title == title
+    assert any(isinstance(part, Picture) for part in section.body) == (title != "Reward against cost")
+
+
 def test_runs_without_energy_are_noted_and_excluded_from_its_means(keep_run: KeepRun, root: Path) -> None:
     keep_run(TRACKING, 0, 1.0, energy=KNOWN)
     keep_run(TRACKING, 1, 1.0)
@@ -360,11 +381,13 @@ def test_runs_without_energy_are_noted_and_excluded_from_its_means(keep_run: Kee
 def test_a_single_seed_and_missing_rules_are_noted(keep_run: KeepRun, root: Path) -> None:
     keep_run(TRACKING, 0, 1.0)
     report = made(root)
-    assert "Only one seed was trained of ippo" in text_of(report)
+    assert "Only one seed of ippo was trained: the variation" in text_of(report)
     assert "No classical rule was run" in text_of(report)
     assert "The study has only one learner" in text_of(report)
     assert "There is no performance profile" in text_of(report)
     assert not {"intervals", "profiles"} & names(report)
+    keep_run((*TRACKING, "algo=ia2c"), 0, 1.0)
+    assert "Only one seed each of ia2c, ippo was trained" in text_of(made(root))
 
 
 def test_excluded_runs_are_noted_with_the_reason(keep_run: KeepRun, root: Path) -> None:
@@ -375,7 +398,7 @@ def test_excluded_runs_are_noted_with_the_reason(keep_run: KeepRun, root: Path) 
     report = made(root)
     assert "Excluded from all results on this page: 2 not finished (1 FAILED, 1 KILLED)" in text_of(report)
     assert f"{failed.name} failed: ValueError: NaN in layer 2" in text_of(report)
-    assert table(report, "runs")["counted"].tolist() == [True, False, False]
+    assert table(report, "runs")["included"].tolist() == [True, False, False]
 
 
 def test_environments_are_aggregated_if_rules_give_them_a_scale(keep_run: KeepRun, root: Path) -> None:
@@ -395,7 +418,9 @@ def test_environments_without_a_scale_are_not_aggregated(keep_run: KeepRun, root
     keep_run(TRACKING, 0, 1.0, rules=RULES)
     keep_run(MATRIX, 0, 2.0, rules={"optimal": 3.0})
     report = made(root)
-    assert "Scores cannot be aggregated: matrix lacks the random rule (score 0) or a rule" in text_of(report)
+    told = text_of(report)
+    assert "Scores cannot be aggregated: matrix lacks the random rule (score 0) or a rule" in told
+    assert "add `random` and at least one rule that beats it to `evaluation.rules`" in told
     assert "across_environments" not in names(report)
 
 
@@ -411,8 +436,43 @@ def test_a_single_episode_gives_no_difference(keep_run: KeepRun, root: Path) -> 
     folder = keep_run(TRACKING, 0, 1.0, rules=RULES)
     [played] = folder.parent.glob("*.rules.json")
     played.write_text(json.dumps({rule: days[:1] for rule, days in json.loads(played.read_text()).items()}))
-    line = "The best rule on tracking is `optimal`; the learners' difference to it is unknown: fewer than two"
+    line = (
+        "The best rule on tracking is `optimal`; the learners' difference from it is unknown: fewer than two"
+    )
     assert line in text_of(made(root))
+
+
+def test_learners_whose_difference_is_unknown_are_named_beside_the_others(
+    keep_run: KeepRun, root: Path
+) -> None:
+    for seed in range(3):
+        keep_run((*TRACKING, "algo=ippo"), seed, 20.0 + seed, rules=RULES)
+    keep_run((*TRACKING, "algo=ia2c"), 0, 1.0, rules=RULES, last=1)
+    against = made(root).summary[1]
+    assert "above it: `ippo` (+11" in against
+    assert against.endswith("; unknown: `ia2c` (fewer than two common episodes).")
+
+
+@pytest.mark.parametrize(
+    ("without", "line"),
+    [
+        (["ia2c"], "No sample-efficiency curve for ia2c: its runs have no evaluation step in common."),
+        (
+            ["ia2c", "ippo"],
+            "No sample-efficiency curve for ia2c, ippo: the runs of each have no evaluation step in common.",
+        ),
+    ],
+)
+def test_learners_without_a_common_evaluation_step_are_named(
+    keep_run: KeepRun, root: Path, without: list[str], line: str
+) -> None:
+    for algorithm in ("ippo", "ia2c"):
+        keep_run((*TRACKING, f"algo={algorithm}"), 0, 1.0, rules=RULES)
+        keep_run((*MATRIX, f"algo={algorithm}"), 0, 2.0, rules={"random": 0.0, "optimal": 3.0})
+    data = StudyData(root, "study")
+    shifted = (data.curves["task"] == "matrix") & data.curves["controller"].isin(without)
+    data.curves.loc[shifted, "env_steps"] += 5  # points are 10 steps apart
+    assert line in words(curves_section(data))
 
 
 def test_another_reward_in_training_is_noted(keep_run: KeepRun, root: Path) -> None:
@@ -447,7 +507,7 @@ def test_names_and_text_cannot_break_the_page() -> None:
         (("stdy",), "there is no study 'stdy' in"),
         (("stdy",), "did you mean study?"),
         (("empty",), "study 'empty' has no finished run (1 KILLED)"),
-        (("study", "--metric", "training/return"), "'training/return' is no evaluation metric"),
+        (("study", "--metric", "training/return"), "'training/return' is not an evaluation metric"),
         (("study", "--metric", "evaluation_greedy/retrun"), "did you mean evaluation_greedy/return?"),
         (("study", "--output", "FILE"), "--output: "),
         (("study", "--output", "FILE/report"), "--output: "),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from headway.stats import FEWEST_POINTS
-from headway_launch.report.parts import MISSING, Part, Section, Table, figure, with_deviation
+from headway_launch.report.parts import MISSING, Part, Section, Table, formatted, with_deviation
 from headway_launch.report.published.episode_metrics import (
     env_of,
     published_results,
@@ -75,12 +75,12 @@ def _comparison(data: StudyData, task: str, number: str) -> list[Part]:
             str(int(row["seeds"])),
             with_deviation(row["final_reward_published"], row["final_reward_std_published"], 2),
             with_deviation(row["final_reward"], row["final_reward_std"], 2),
-            figure(row["final_reward_published_rank"]),
-            figure(row["final_reward_rank"]),
+            formatted(row["final_reward_published_rank"]),
+            formatted(row["final_reward_rank"]),
             f"{row['auc_published']:.3f}",
             with_deviation(row["auc"], row["auc_std"], 3),
-            figure(row["kwh_published"]),
-            figure(row["kwh"]),
+            formatted(row["kwh_published"]),
+            formatted(row["kwh"]),
         ]
         for controller, row in table.iterrows()
     ]
@@ -91,8 +91,8 @@ def _comparison(data: StudyData, task: str, number: str) -> list[Part]:
             f"published ranks are among all {len(published)} algorithms, ours among the {len(table)} of this "
             "table.",
             [
-                "controller", "seeds", "published: final reward", "here", "published: rank", "here",
-                "published: AUC", "here", "published: kWh per run", "here",
+                "controller", "seeds", "published: final reward", "here: final reward", "published: rank",
+                "here: rank", "published: AUC", "here: AUC", "published: kWh per run", "here: kWh per run",
             ],
             rows,
             table.rename_axis("controller").reset_index(),
@@ -254,8 +254,8 @@ def _rules_and_learners(data: StudyData, task: str) -> list[Part]:
     means = {name: buses * float(values.mean()) for name, values in days.items() if values.size}
     near = [name for name, mean in means.items() if abs(mean - moving) <= 0.05 * abs(moving)]
     text = (
-        f"The rule that always moves earns {figure(moving)} here, summed over the buses. On the same days, "
-        f"in the last evaluation, {len(near)} of {len(means)} learners are within 5% of it"
+        f"The rule that always moves earns {formatted(moving)} here, summed over the buses. On the same "
+        f"days, in the last evaluation, {len(near)} of {len(means)} learners are within 5% of it"
         + (f" ({', '.join(near)})." if near else ".")
     )
     sampled_more = [
@@ -270,11 +270,13 @@ def _rules_and_learners(data: StudyData, task: str) -> list[Part]:
         )
         never = [name for name in sampled_more if _has_no_visits(data, task, name)]
         if never:
-            text += f" Greedily, {', '.join(never)} never visited the service centre on those days."
+            text += (
+                f" With greedy actions, {', '.join(never)} never visited the service centre on those days."
+            )
     if "move_with_service" in values:
         text += (
             " The rule that always moves, but visits the service centre once half of the uptime is used up, "
-            f"earns {figure(values['move_with_service'])}. "
+            f"earns {formatted(values['move_with_service'])}. "
         )
         text += (
             "So always moving is not optimal."

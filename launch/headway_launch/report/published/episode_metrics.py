@@ -10,7 +10,7 @@ import pandas as pd
 from headway.contracts import PublishedResults
 from headway.registry import env_entry
 from headway.stats import mean_std
-from headway_launch.report.parts import MISSING, figure, with_deviation
+from headway_launch.report.parts import MISSING, formatted, with_deviation
 from headway_launch.report.study_data import StudyData
 from headway_launch.studies.runs import configuration
 
@@ -87,7 +87,7 @@ def mean_by_seed(data: StudyData, task: str, controller: str, metric: str) -> "n
     return values.mean(axis="columns").to_numpy() if values.size else np.empty(0)
 
 
-def formatted(row: "pd.Series[Any]", columns: Sequence[MetricColumn]) -> list[str]:
+def formatted_row(row: "pd.Series[Any]", columns: Sequence[MetricColumn]) -> list[str]:
     """Format a row for display: mean ± standard deviation of a learner, the mean of a rule."""
     return [
         with_deviation(float(row[each.metric]), float(row.get(f"{each.metric}_std", np.nan)), each.decimals)
@@ -97,4 +97,4 @@ def formatted(row: "pd.Series[Any]", columns: Sequence[MetricColumn]) -> list[st
 
 def seeds_of(row: "pd.Series[Any]") -> str:
     """Return the number of seeds of a row, or a dash for a rule."""
-    return figure(float(row["seeds"])) if "seeds" in row else MISSING
+    return formatted(float(row["seeds"])) if "seeds" in row else MISSING

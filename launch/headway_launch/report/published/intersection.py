@@ -8,7 +8,7 @@ from headway_launch.report.parts import MISSING, Part, Section, Table, with_inte
 from headway_launch.report.published.episode_metrics import (
     MetricColumn,
     env_of,
-    formatted,
+    formatted_row,
     learner_metrics,
     published_results,
     published_values,
@@ -76,12 +76,12 @@ def _comparison(data: StudyData, task: str, number: str) -> Table:
     trained = [name for name in published.index if (learners["algorithm"] == name).any()]
     theirs = published.loc[trained].rename(index=lambda name: f"published: {labels[name]}")
     rows = [
-        [str(name), seeds_of(row), *formatted(row.reindex([each.metric for each in COLUMNS]), COLUMNS)]
+        [str(name), seeds_of(row), *formatted_row(row.reindex([each.metric for each in COLUMNS]), COLUMNS)]
         for name, row in theirs.iterrows()
     ]
-    rows += [[str(name), seeds_of(row), *formatted(row, COLUMNS)] for name, row in learners.iterrows()]
+    rows += [[str(name), seeds_of(row), *formatted_row(row, COLUMNS)] for name, row in learners.iterrows()]
     first_rule = len(rows)
-    rows += [[str(name), MISSING, *formatted(row, COLUMNS)] for name, row in rules.iterrows()]
+    rows += [[str(name), MISSING, *formatted_row(row, COLUMNS)] for name, row in rules.iterrows()]
     return Table(
         f"crossing{number}",
         f"Published results, learners and rules{data.where(task)}. Efficiency is outflow over inflow except "

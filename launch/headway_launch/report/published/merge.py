@@ -11,7 +11,7 @@ from headway_launch.report.parts import MISSING, Part, Section, Table
 from headway_launch.report.published.episode_metrics import (
     MetricColumn,
     env_of,
-    formatted,
+    formatted_row,
     learner_metrics,
     mean_by_seed,
     published_results,
@@ -71,11 +71,11 @@ def _comparison(data: StudyData, tasks: list[str]) -> Table:
         published = published_results(str(env_of(data, task)["id"])).results
         for name, row in learner_metrics(data, task, COLUMNS).iterrows():
             reported = published.get(str(row["algorithm"]), _UNPUBLISHED).ranges["reward"]
-            rows.append([task, str(name), seeds_of(row), reported, *formatted(row, COLUMNS)])
+            rows.append([task, str(name), seeds_of(row), reported, *formatted_row(row, COLUMNS)])
             exact.append({"environment": task, "controller": name, "published_reward": reported, **row})
         for name, row in rule_metrics(data, task, COLUMNS).iterrows():
             rules.add(len(rows))
-            rows.append([task, str(name), MISSING, MISSING, *formatted(row, COLUMNS)])
+            rows.append([task, str(name), MISSING, MISSING, *formatted_row(row, COLUMNS)])
             exact.append({"environment": task, "controller": name, **row})
     return Table(
         "merging",
