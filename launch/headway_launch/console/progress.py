@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from headway.events import EvaluationFinished, Event, Failed, IterationFinished, Started
+from headway.events import EvaluationFinished, Event, IterationFinished, Started
 
 Status = Literal["waiting", "starting", "training", "finished", "stopped", "failed"]
 ACTIVE: tuple[Status, ...] = ("starting", "training")
@@ -30,8 +30,8 @@ class JobProgress:
     evaluation_return: float | None = None
     label: str = ""
     """Name of its cell if the session has several."""
-    failure: str = ""
-    """Reason of the failure, in one line."""
+    traceback: str = ""
+    """File that gets the traceback if it fails; empty before its runs are stored."""
     _marks: deque[tuple[float, int, int]] = field(default_factory=lambda: deque(maxlen=20))
     """(clock of the training process in s, iteration, environment steps) of recent iterations."""
 
@@ -47,8 +47,6 @@ class JobProgress:
             case EvaluationFinished(mode=mode, curve=curve) if mode == self.mode:
                 returns = [float(row[f"evaluation_{mode}/return"]) for row in curve]
                 self.evaluation_return = sum(returns) / len(returns)
-            case Failed(line=line):
-                self.failure = line
 
     @property
     def name(self) -> str:

@@ -31,7 +31,6 @@ EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130
 _MAX_RESTARTS = 3
 """Restarts of a lost training process from one checkpoint; at the next loss its runs fail."""
 _MAX_LISTED_RUNS = 3
-_MAX_LISTED_FAILURES = 10
 _SHORTEST_MEASURED_S = 60.0
 """Training seconds from which the store's share is printed; in less, start-up and shutdown dominate."""
 STORE_SHARE = "storage took"
@@ -131,6 +130,7 @@ class Runner:
         runs = job.cell.runs(job.planned, self._shares)
         before = [run.energy_so_far for run in runs] if job.planned.resumed else []
         job.recording = JobRecorder(runs, uses_gpu=uses_gpu(job.planned), before=before)
+        job.progress.traceback = f"{_relative(str(runs[0].directory))}/{TRACEBACK}"
         training = job.cell.training_job(job.planned, runs, self._shares)
         backend = self._cluster.backend(training.config.backend)
         return replace(training, config=replace(training.config, backend=backend))
@@ -160,7 +160,7 @@ class Runner:
         job.recording.status = "KILLED"
         self._finish(job, job.recording, in_results=False)
         job.lost_at.append(durable)
-        job.recording = None
+        job.recording, job.progress.traceback = None, ""
         job.planned = replace(
             job.planned,
             resumed=tuple(run.run_id for run in runs),
@@ -247,7 +247,6 @@ class Runner:
             command = "compare" if len(environments) == 1 else "report"
             print_line(f"compare with the rules, with intervals: {own_name()} {command} {study}{option}")
         self._print_store_share()
-        self._print_failures()
         unfinished = [result.run_id for result in results if result.status in ("KILLED", "FAILED")]
         not_started = sum(len(job.planned.seeds) for job in self._jobs if job.recording is None)
         if unfinished or not_started:
@@ -269,19 +268,6 @@ class Runner:
                 f"{STORE_SHARE} {(kept + own) / trained:.1%} of {trained:,.0f} s of training (logs and "
                 f"checkpoints {kept:.1f} s, MLflow and energy {own:.1f} CPU s)"
             )
-
-    def _print_failures(self) -> None:
-        failed = [job for job in self._jobs if job.progress.status == "failed"]
-        for job in failed[:_MAX_LISTED_FAILURES]:
-            where = (
-                f"; see {_relative(str(job.recording.runs[0].directory))}/{TRACEBACK}"
-                if job.recording
-                else ""
-            )
-            print_line(f"headway: {job.progress.name} failed: {job.progress.failure}{where}")
-        if len(failed) > _MAX_LISTED_FAILURES:
-            more = len(failed) - _MAX_LISTED_FAILURES
-            print_line(f"headway: and {more} more failed; `headway runs --status FAILED` lists them")
 
 
 def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False) -> int:

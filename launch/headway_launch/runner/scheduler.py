@@ -188,7 +188,8 @@ class Scheduler:
                 job.status = "stopped" if stopped else "finished"
             case Failed(line=line):
                 job.status = "failed"
-                shown.note(f"headway: {job.name} failed: {line}")
+                where = f"; see {job.traceback}" if job.traceback else ""
+                shown.note(f"headway: {job.name} failed: {line}{where}")
             case Notice(line=line):
                 shown.note(f"{job.name}: {line}")
         self._take(index, event)

@@ -7,7 +7,7 @@ from contextlib import suppress
 import pytest
 from rich.console import Console
 
-from headway.events import EvaluationFinished, Failed, IterationFinished, Started, Usage
+from headway.events import EvaluationFinished, IterationFinished, Started, Usage
 from headway_launch.console.progress import JobProgress, overall, seconds_left
 from headway_launch.console.progress_display import CountedProgress, Progress
 
@@ -114,12 +114,10 @@ def test_elsewhere_many_jobs_have_one_line_together(
     moment[0] = 31.0
     shown.show()
     assert capsys.readouterr().err == overall(jobs, 6) + "\n"
-    jobs[0].take(Failed("out of memory", ""))
     jobs[0].status = "failed"
     shown.show()
     assert "seed 0" in (line := capsys.readouterr().err)
     assert line.rstrip().endswith("failed")
-    assert jobs[0].failure == "out of memory"
 
 
 def test_work_of_known_length_tells_how_far_it_is(
@@ -127,37 +125,37 @@ def test_work_of_known_length_tells_how_far_it_is(
 ) -> None:
     moment = [0.0]
     monkeypatch.setattr("headway_launch.console.progress_display.time.monotonic", lambda: moment[0])
-    with CountedProgress("days simulated", 20) as counted:
-        assert counted.line == "days simulated: 0 of 20"
+    with CountedProgress("days simulated", 20) as progress:
+        assert progress.line == "days simulated: 0 of 20"
         for _ in range(4):
             moment[0] += 10.0
-            counted.add()
+            progress.add()
     # Where lines cannot stay in place, one every half minute.
     assert capsys.readouterr().err == "days simulated: 3 of 20, about 0:02:50 left\n"
-    with CountedProgress("steps played") as counted:
-        counted.add()
-    assert counted.line == "steps played: 1"
-    with CountedProgress("episodes played", 6) as counted:
-        counted.add(0, "rule idle, step 12")
-        assert counted.line == "episodes played: 0 of 6 (rule idle, step 12)"
-        counted.add(3, "rule idle, step 13")
+    with CountedProgress("steps played") as progress:
+        progress.add()
+    assert progress.line == "steps played: 1"
+    with CountedProgress("episodes played", 6) as progress:
+        progress.add(0, "rule idle, step 12")
+        assert progress.line == "episodes played: 0 of 6 (rule idle, step 12)"
+        progress.add(3, "rule idle, step 13")
     moment[0] += 1.0
-    assert counted.line == "episodes played: 3 of 6, about 0:00:01 left (rule idle, step 13)"
+    assert progress.line == "episodes played: 3 of 6, about 0:00:01 left (rule idle, step 13)"
 
 
 def test_on_a_terminal_the_count_stays_in_place_and_goes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    with CountedProgress("days simulated", 2) as counted:
-        counted.add()
-        counted.add()
+    with CountedProgress("days simulated", 2) as progress:
+        progress.add()
+        progress.add()
     drawn = capsys.readouterr().err
     assert "\n" not in drawn
     assert drawn.startswith("\rdays simulated: 0 of 2\x1b[K")
     assert drawn.endswith("\rdays simulated: 2 of 2\x1b[K\r\x1b[K")
-    with CountedProgress("days simulated", 2) as counted:
-        counted.note("a line that stays")
+    with CountedProgress("days simulated", 2) as progress:
+        progress.note("a line that stays")
     first = "\rdays simulated: 0 of 2\x1b[K"
     assert capsys.readouterr().err == f"{first}\r\x1b[Ka line that stays\n{first}\r\x1b[K"
 
@@ -169,10 +167,10 @@ def test_the_count_fits_the_terminal_that_stderr_is(monkeypatch: pytest.MonkeyPa
     with os.fdopen(terminal, "w") as stderr:
         monkeypatch.setattr("sys.stderr", stderr)
         termios.tcsetwinsize(terminal, (24, 40))
-        with CountedProgress("episodes played", 6) as counted:
-            counted.add(6, "rule headway_holding_0.9, step 1,000")
+        with CountedProgress("episodes played", 6) as progress:
+            progress.add(6, "rule headway_holding_0.9, step 1,000")
             termios.tcsetwinsize(terminal, (24, 20))
-            counted.add(0)
+            progress.add(0)
     drawn = ""
     with suppress(OSError):  # all was read
         while piece := os.read(screen, 4096):

@@ -13,15 +13,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import NoReturn, cast
 
 import psutil
 import pytest
 
+from headway.contracts.errors import HeadwayError
 from headway.store import CHECKPOINTS
 from headway.store.checkpoint import latest_iteration
 from headway.store.index import RunIndex, RunRow
 from headway_launch.commands.main import run
+from headway_launch.runner.cell import SessionCell
 from headway_launch.runner.runner import Runner
 from headway_launch.runner.scheduler import StopRequests
 
@@ -195,6 +197,23 @@ def test_a_lost_training_process_prints_one_line_and_the_others_continue(folder:
         assert running.process.wait(PATIENCE_S) == 2
     assert running.has_said("seed 0 failed: its training process was killed by SIGKILL")
     assert {row.seed: row.status for row in runs(folder)} == {0: "FAILED", 1: "FINISHED"}
+
+
+def test_the_error_of_a_failed_run_is_printed_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def training_job(*_: object) -> NoReturn:
+        raise HeadwayError("the scenario is gone")
+
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(SessionCell, "training_job", training_job)
+    assert run(["run", *TINY, "seed=3", "env_steps=256", "backend=serial"]) == 2
+    [line] = [line for line in capsys.readouterr().err.splitlines() if "the scenario is gone" in line]
+    told, path = line.split("; see ")
+    assert told == "headway: seed 3 failed: the scenario is gone"
+    [row] = runs(folder)
+    assert Path(path).resolve() == (Path(row.directory) / "traceback.txt").resolve()
+    assert "HeadwayError: the scenario is gone" in Path(path).read_text()
 
 
 def test_bad_input_starts_nothing(tmp_path: Path) -> None:
