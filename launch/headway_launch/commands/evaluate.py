@@ -53,9 +53,9 @@ def execute(arguments: argparse.Namespace) -> int:
     compile_kernels(experiment.env)
     policy = newest_policy(run, found)
     name = f"{experiment.algo_name} {arguments.mode}"
-    with CountedProgress("episodes played", (1 + len(rules)) * episodes) as counted:
-        greedy, count = arguments.mode == "greedy", counting(counted, name)
+    with CountedProgress("episodes played", (1 + len(rules)) * episodes) as progress:
+        greedy, count = arguments.mode == "greedy", counting(progress, name)
         learned = policy_episodes(policy, root, episodes, greedy, count)
-        played = rule_episodes(experiment, found.prepared, rules, root, episodes, counted)
+        played = rule_episodes(experiment, found.prepared, rules, root, episodes, progress)
     print_comparison(name, [learned], played)
     return 0

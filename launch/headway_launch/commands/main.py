@@ -47,10 +47,10 @@ class _CommandModule(Protocol):
 _COMMANDS = {
     "run": _Command("train all seeds of an experiment", "run", only_prints=False),
     "sweep": _Command(
-        "train the runs of many cells and seeds that the store lacks", "sweep", only_prints=False
+        "train every combination of values and seeds that is not in the store", "sweep", only_prints=False
     ),
     "search": _Command(
-        "search hyper-parameters as a file of configs/search defines", "search", only_prints=False
+        "run the hyper-parameter search defined in configs/search/NAME.yaml", "search", only_prints=False
     ),
     "resume": _Command("continue runs that were stopped, killed or failed", "resume", only_prints=False),
     "runs": _Command("list the runs in the store", "runs"),
@@ -138,7 +138,7 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
         return 0
     name = words[0]
     if name not in _COMMANDS:
-        raise HeadwayError(f"{name!r} is no command; {suggestion(name, _COMMANDS, 'headway ')}")
+        raise HeadwayError(f"unknown command {name!r}; {suggestion(name, _COMMANDS, 'headway ')}")
     command = _COMMANDS[name]
     rest = words[1:]
     if command.parts:
@@ -147,7 +147,7 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
             return 0
         if rest[0] not in command.parts:
             fix = suggestion(rest[0], command.parts, f"headway {name} ")
-            raise HeadwayError(f"{rest[0]!r} is no command of headway {name}; {fix}")
+            raise HeadwayError(f"unknown command {rest[0]!r} of headway {name}; {fix}")
         name, command, rest = f"{name} {rest[0]}", command.parts[rest[0]], rest[1:]
     module = cast(_CommandModule, import_module(f"headway_launch.commands.{command.module}"))
     parser = _Parser(

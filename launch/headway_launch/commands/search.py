@@ -1,4 +1,4 @@
-"""`headway search`: search hyper-parameters as a file of configs/search defines."""
+"""`headway search`: run the hyper-parameter search defined in configs/search/NAME.yaml."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""`headway sweep`: train every combination of values and seeds that the store lacks."""
+"""`headway sweep`: train every combination of values and seeds that is not in the store."""
 
 import argparse
 import shlex

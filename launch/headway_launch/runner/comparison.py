@@ -61,7 +61,7 @@ def rule_episodes(
     rules: Sequence[str],
     root: int,
     episodes: int,
-    counted: "CountedProgress",
+    progress: "CountedProgress",
 ) -> dict[str, list[Row]]:
     """Return the episodes of each rule, one row per episode, on the evaluation seeds derived from `root`."""
     from headway.rollout.episodes import evaluate_rule
@@ -69,15 +69,15 @@ def rule_episodes(
     make, known = experiment.env.make, experiment.env.rules
     return {
         rule: evaluate_rule(
-            make, known[rule].make, prepared, root, episodes, counting(counted, f"rule {rule}")
+            make, known[rule].make, prepared, root, episodes, counting(progress, f"rule {rule}")
         )
         for rule in rules
     }
 
 
-def counting(counted: "CountedProgress", name: str) -> "OnStep":
+def counting(progress: "CountedProgress", name: str) -> "OnStep":
     """Return a callback that adds the finished episodes of the controller `name` to the counter."""
-    return lambda step, ended: counted.add(ended, f"{name}, step {step:,}")
+    return lambda step, ended: progress.add(ended, f"{name}, step {step:,}")
 
 
 def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping[str, Sequence[Row]]) -> None:

@@ -18,7 +18,7 @@ from headway_launch.experiments.compose import compose
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        (["rnu"], ["'rnu' is no command", "did you mean headway run?"]),
+        (["rnu"], ["unknown command 'rnu'", "did you mean headway run?"]),
         (["list", "experimens"], ["did you mean headway list experiments?"]),
         (["list", "envs", "trivail"], ["did you mean trivial?"]),
         (["list", "algos", "mapo"], ["did you mean mappo?"]),

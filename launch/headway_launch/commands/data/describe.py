@@ -4,6 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
+from headway_launch.commands.data.choices import require_seed
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
@@ -16,8 +17,9 @@ examples:
   headway data describe towns/city --lines 50 --day-type sunday
   headway data describe corridor                         a built-in one
 
-Buses at once are on a trip at the same time by the scenario's timetable. Agents are the slots that the
-environment creates from it, with a smoothed timetable, recovery times and every bus assigned to one line.
+'Most buses at once' is the largest number of buses on a trip at the same time in the timetable. Agents are
+the slots that the environment creates from it, with a smoothed timetable, recovery times and every bus
+assigned to one line.
 Headways are mean minutes between departures of a pattern in the given hours, the median over patterns.
 """
 
@@ -38,16 +40,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Print the tables."""
-    if arguments.lines < 0 or arguments.seed < 0:
-        raise HeadwayError("--lines and --seed must be at least 0")
+    if arguments.lines < 0:
+        raise HeadwayError(f"--lines must be at least 0, not {arguments.lines}")
+    require_seed(arguments.seed)
     from headway_envs.bus.scenario.description import by_day_type, by_line, meta_rows
     from headway_envs.bus.scenario.source import scenario_tables
     from headway_envs.bus.scenario.tables import DAY_TYPES
     from headway_launch.console.tables import print_table
 
     tables = scenario_tables(arguments.scenario, arguments.seed)
-    with CountedProgress("day types described", len(DAY_TYPES)) as counted:
-        days = by_day_type(tables, counted.add)
+    with CountedProgress("day types described", len(DAY_TYPES)) as progress:
+        days = by_day_type(tables, progress.add)
     if not days:
         raise HeadwayError(f"scenario '{arguments.scenario}' has no trips on weekdays or Sundays")
     print_table(("quantity", "value"), [*_sizes(tables), *meta_rows(tables.meta)], title=arguments.scenario)

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.data.choices import date_of, names_of
+from headway_launch.commands.data.choices import date_of, names_of, require_seed
 from headway_launch.commands.data.writing import (
     add_output_arguments,
     check_output,
@@ -20,8 +20,8 @@ examples:
   headway run env=bus env.args.scenario=towns/mine algo=mappo
 
 Stops, patterns, links, trips and mean travel times are taken from the feed, on the weekday and the Sunday
-with most trips or on the given dates. A feed has no passengers and no variation of travel times: these are
-generated with parameters fitted to Salvador's buses (SUNT). meta.json records this, and counts irregular
+with the most trips or on the given dates. A feed has no passengers and no variation of travel times: these
+are generated with parameters fitted to Salvador's buses (SUNT). meta.json records this, and counts irregular
 entries of the feed. Vehicles follow block_id; trips without it are chained at their last stops.
 """
 
@@ -30,8 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the feed, the folder and the selection."""
     parser.add_argument("feed", metavar="FEED", help="GTFS feed: a zip file, or a folder of .txt files")
     add_output_arguments(parser)
-    parser.add_argument("--weekday", metavar="DATE", help="YYYY-MM-DD (default: the weekday with most trips)")
-    parser.add_argument("--sunday", metavar="DATE", help="YYYY-MM-DD (default: the Sunday with most trips)")
+    parser.add_argument(
+        "--weekday", metavar="DATE", help="YYYY-MM-DD (default: the weekday with the most trips)"
+    )
+    parser.add_argument(
+        "--sunday", metavar="DATE", help="YYYY-MM-DD (default: the Sunday with the most trips)"
+    )
     parser.add_argument("--lines", help="names of lines, comma-separated (default: all)")
     parser.add_argument("--types", help="route types, comma-separated (default: buses)")
     parser.add_argument(
@@ -45,8 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Import the feed, write the scenario and print a summary."""
-    if arguments.seed < 0:
-        raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
+    require_seed(arguments.seed)
     if not 0.0 < arguments.boardings_per_trip <= 1000.0:
         raise HeadwayError(
             f"--boardings-per-trip must be above 0 and at most 1000, not {arguments.boardings_per_trip:g}"

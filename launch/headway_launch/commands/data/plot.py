@@ -3,7 +3,8 @@
 import argparse
 from pathlib import Path
 
-from headway.contracts.errors import HeadwayError
+from headway.wording import counted
+from headway_launch.commands.data.choices import day_type_of, require_seed
 from headway_launch.console.output_files import write_figure
 
 EXAMPLES = """\
@@ -30,18 +31,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Plot, and print the path of the picture."""
-    if arguments.seed < 0:
-        raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
+    require_seed(arguments.seed)
     from headway_envs.bus.scenario.plots import plot_scenario
     from headway_envs.bus.scenario.source import scenario_tables
 
     name = Path(arguments.scenario).name
     output = Path(arguments.output or f"{name}.png")
     tables = scenario_tables(arguments.scenario, arguments.seed)
-    there = set(tables.trips["daytype"])
-    day = arguments.day_type or ("weekday" if "weekday" in there else "sunday")
-    lines = tables.patterns["line"].nunique()
-    title = f"{name}: {lines:,} lines, {len(tables.stops):,} stops, {day}"
+    day = day_type_of(tables, arguments.day_type)
+    lines = counted(tables.patterns["line"].nunique(), "line")
+    title = f"{name}: {lines}, {counted(len(tables.stops), 'stop')}, {day}"
     write_figure(plot_scenario(tables, day, title), output)
     print(output)
     return 0

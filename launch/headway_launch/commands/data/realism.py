@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
+from headway.wording import counted
+from headway_launch.commands.data.choices import day_type_of
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
@@ -26,9 +28,10 @@ The scenario's timetable is replayed from 4 to 26 h: every trip departs at its r
 noise, and buses always move. Each statistic is the mean over simulated days, beside the measured value; it
 holds if their difference is within the tolerance. Trips and boardings are measured in the scenario's own
 tables; headways along the route and loads in SUNT's trip records of its lines (--records) or, for scenarios
-imported from SUNT, in those of the whole city, which are not binding for an extract of few lines. Headways
-are relative to the mean of their two hours, for frequent service; CV is their coefficient of variation, and
-headways below a quarter of the mean count as bunched. Built-in scenarios have no recorded trips to compare.
+imported from SUNT, in those of the whole city, which are not used to judge an extract of a few lines.
+Headways are divided by the mean headway of the two-hour period, as is usual for frequent service; CV is their
+coefficient of variation, and headways below a quarter of the mean count as bunched. Built-in scenarios have
+no recorded trips to compare.
 """
 _COLUMNS = (
     "statistic",
@@ -76,12 +79,11 @@ def execute(arguments: argparse.Namespace) -> int:
             "writes them"
         )
     tables = scenario_tables(arguments.scenario, 0)
-    there = set(tables.trips["daytype"])
-    day = arguments.day_type or ("weekday" if "weekday" in there else "sunday")
-    config = replace(config, day_type="weekday" if day == "weekday" else "sunday")
+    day = day_type_of(tables, arguments.day_type)
+    config = replace(config, day_type=day)
     records = Path(arguments.records) if arguments.records else None
-    with CountedProgress("days simulated", arguments.days) as simulated:
-        rows = compare_replay(tables, config, arguments.days, records, simulated.add)
+    with CountedProgress("days simulated", arguments.days) as progress:
+        rows = compare_replay(tables, config, arguments.days, records, progress.add)
     if arguments.format == "csv":
         writer = csv.writer(sys.stdout, lineterminator="\n")
         writer.writerow(_COLUMNS)
@@ -100,9 +102,10 @@ def execute(arguments: argparse.Namespace) -> int:
     print(f"{sum(row.holds for row in judged)} of {len(judged)} statistics are within tolerance")
     if left_out := len(rows) - len(judged):
         lines, city = line_count(tables, config), CITY_LINES[config.day_type]
+        those = "that line" if lines == 1 else "those lines"
         print(
-            f"not judged: {left_out} statistics measured over all {city} lines of the city; the scenario has "
-            f"{lines}; --records RAW measures them on {'that line' if lines == 1 else 'those lines'}"
+            f"not judged: {counted(left_out, 'statistic')} measured over all {city} lines of the city; the "
+            f"scenario has {lines}; --records RAW measures them on {those}"
         )
     return 0
 

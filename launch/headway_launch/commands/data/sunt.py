@@ -3,8 +3,7 @@
 import argparse
 from pathlib import Path
 
-from headway.contracts.errors import HeadwayError
-from headway_launch.commands.data.choices import date_of, names_of
+from headway_launch.commands.data.choices import date_of, names_of, require_seed
 from headway_launch.commands.data.writing import (
     add_output_arguments,
     check_output,
@@ -33,10 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("raw", metavar="RAW", help="folder with SUNT's files")
     add_output_arguments(parser)
     parser.add_argument(
-        "--weekday", metavar="DATE", help="date of the timetable (default: the one with most trips)"
+        "--weekday", metavar="DATE", help="date of the timetable (default: the one with the most trips)"
     )
     parser.add_argument(
-        "--sunday", metavar="DATE", help="date of the timetable (default: the one with most trips)"
+        "--sunday", metavar="DATE", help="date of the timetable (default: the one with the most trips)"
     )
     parser.add_argument("--lines", help="names of lines, comma-separated (default: all)")
     parser.add_argument("--seed", type=int, default=0, help="seed of demand without counts (default: 0)")
@@ -44,8 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Import the files, write the scenario and print a summary."""
-    if arguments.seed < 0:
-        raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
+    require_seed(arguments.seed)
     weekday, sunday = date_of("weekday", arguments.weekday), date_of("sunday", arguments.sunday)
     out = check_output(arguments)
     from headway_envs.bus.scenario.sunt.importer import SuntOptions, import_sunt

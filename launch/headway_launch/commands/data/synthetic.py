@@ -2,7 +2,7 @@
 
 import argparse
 
-from headway.contracts.errors import HeadwayError
+from headway_launch.commands.data.choices import require_seed
 from headway_launch.commands.data.writing import (
     add_output_arguments,
     check_output,
@@ -39,13 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Generate and write the scenario, and print a summary."""
-    if arguments.seed < 0:
-        raise HeadwayError(f"--seed must be at least 0, not {arguments.seed}")
+    require_seed(arguments.seed)
     out = check_output(arguments)
     from headway_envs.bus.scenario.synthetic import generate, line_count
 
-    with CountedProgress("lines with a timetable", line_count(arguments.size)) as counted:
-        tables = generate(arguments.size, arguments.seed, counted.add)
+    with CountedProgress("lines with a timetable", line_count(arguments.size)) as progress:
+        tables = generate(arguments.size, arguments.seed, progress.add)
     write_scenario(tables, out)
     print_written(tables, out)
     return 0

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
+from headway.wording import counted
 from headway_launch.console.output_files import write_error
 from headway_launch.console.progress_display import CountedProgress
 
@@ -93,11 +94,12 @@ def print_written(tables: "Tables", out: Path) -> None:
     from headway_envs.bus.scenario.tables import DAY_TYPES
 
     print(
-        f"{out}: {tables.patterns['line'].nunique():,} lines, {len(tables.patterns):,} patterns, "
-        f"{len(tables.stops):,} stops, {len(tables.links):,} links"
+        f"{out}: {counted(tables.patterns['line'].nunique(), 'line')}, "
+        f"{counted(len(tables.patterns), 'pattern')}, {counted(len(tables.stops), 'stop')}, "
+        f"{counted(len(tables.links), 'link')}"
     )
-    with CountedProgress("day types described", len(DAY_TYPES)) as counted:
-        days = by_day_type(tables, counted.add)
+    with CountedProgress("day types described", len(DAY_TYPES)) as progress:
+        days = by_day_type(tables, progress.add)
     for day in days:
         print(
             f"{day.day_type}: {day.trips:,} trips, {day.peak_buses:,} buses at once, "

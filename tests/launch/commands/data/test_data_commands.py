@@ -15,6 +15,7 @@ from headway_envs.bus.scenario.fitted import DOI
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 
+PROJECT = Path(__file__).parents[4]
 PARTS = ("synthetic", "gtfs", "sunt", "describe", "plot", "realism")
 HEAVY = ("pandas", "pyarrow", "numba", "scipy", "matplotlib")
 
@@ -42,7 +43,7 @@ def test_data_alone_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> No
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        (["synthetc"], ["'synthetc' is no command of headway data", "headway data synthetic"]),
+        (["synthetc"], ["unknown command 'synthetc' of headway data", "headway data synthetic"]),
         (["synthetic"], ["OUT", "headway data synthetic --help"]),
         (["synthetic", "x", "--size", "village"], ["--size", "village"]),
         (["synthetic", "x", "--seed", "-1"], ["--seed must be at least 0"]),
@@ -58,7 +59,9 @@ def test_data_alone_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> No
         (["sunt", "nowhere", "x"], ["RAW: nowhere is not a folder"]),
         (["sunt", "f", "x", "--sunday", "0"], ["--sunday: '0' is not a date"]),
         (["describe", "corridr"], ["did you mean 'corridor'?"]),
-        (["describe", "line", "--lines", "-2"], ["--lines and --seed must be at least 0"]),
+        (["describe", "line", "--seed", "-1"], ["--seed must be at least 0, not -1"]),
+        (["plot", "line", "--seed", "-1"], ["--seed must be at least 0, not -1"]),
+        (["describe", "line", "--lines", "-2"], ["--lines must be at least 0, not -2"]),
         (["realism", "nowhere"], ["there is no folder nowhere"]),
         (["realism", "line"], ["SCENARIO: its trips are made up, nothing was measured there; give"]),
         (["realism", "line", "--days", "0"], ["--days must be at least 1"]),
@@ -111,7 +114,7 @@ def test_a_written_scenario_is_the_built_in_one(
     assert "\rlines with a timetable: 1 of 1\x1b[K" in told
     assert "\rday types described: 2 of 2\x1b[K" in told
     assert "of 1" not in shown
-    assert "1 lines, 2 patterns" in shown
+    assert "1 line, 2 patterns" in shown
     assert f"env.args.scenario={out}" in shown
     assert json.loads((out / "meta.json").read_text())["seed"] == 5
     assert sorted(file.name for file in out.parent.iterdir()) == ["mine"]
@@ -142,6 +145,18 @@ def test_the_command_that_is_recommended_has_the_values_of_the_study_of_such_net
     assert (experiment.algo_name, experiment.algo_config) == (study.algo_name, study.algo_config)
     assert experiment.config.rollout == study.config.rollout
     assert experiment.training_env_config.reward == study.training_env_config.reward
+
+
+def test_the_guide_continues_with_the_commands_that_are_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = (PROJECT / "docs" / "guide.md").read_text(encoding="utf-8").splitlines()
+    commands = [line.split("#")[0].strip() for line in lines if line.startswith("    headway ")]
+    [create] = [place for place, command in enumerate(commands) if " data synthetic " in command]
+    monkeypatch.chdir(tmp_path)
+    assert run(commands[create].split()[1:]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert set(last.removeprefix("next: ").split("; ")) <= set(commands[create + 1 :])
 
 
 def test_what_lies_there_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
