@@ -117,7 +117,7 @@ TRAFFIC = np.dtype(
 
 
 class Slots(NamedTuple):
-    """Arrays by slot."""
+    """Observations, presence and rewards of one intersection's N slots."""
 
     observations: NDArray[np.float32]
     """(N, D) observations; rows of empty slots are 0."""

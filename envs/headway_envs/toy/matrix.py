@@ -35,7 +35,10 @@ class MatrixConfig:
 
 
 class Matrix:
-    """C copies. Each agent observes its index (one-hot, D = 2); every step ends the episode."""
+    """The matrix game in C copies.
+
+    Each agent observes its index (one-hot, D = 2); every step ends the episode.
+    """
 
     def __init__(self, config: MatrixConfig, copies: int) -> None:
         self._payoff = np.array(config.payoff, dtype=np.float64)

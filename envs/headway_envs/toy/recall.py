@@ -30,7 +30,7 @@ class RecallConfig:
 
 
 class Recall:
-    """C copies, all at the same step.
+    """The memory task in C copies, all at the same step.
 
     Each agent observes its own cue (one-hot, at the first step only) and whether the answer is due (D = cues
     + 1), and receives 1 for naming its cue then.

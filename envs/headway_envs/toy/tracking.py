@@ -67,7 +67,10 @@ def regulator(config: TrackingConfig) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 class Tracking:
-    """C copies. Agents observe (e, v), D = 4, and act within [-2, 2]; the state holds all e, then v."""
+    """The tracking task in C copies.
+
+    Agents observe (e, v), D = 4, and act within [-2, 2]; the state holds all e, then v.
+    """
 
     def __init__(self, config: TrackingConfig, copies: int) -> None:
         self._config, n = config, config.agents

@@ -41,7 +41,7 @@ def agent_names(count: int) -> tuple[str, ...]:
 
 
 class Trivial:
-    """C copies, all at the same step, because all episodes have the same length."""
+    """The cheapest environment in C copies, all at the same step: all episodes have the same length."""
 
     def __init__(self, config: TrivialConfig, copies: int) -> None:
         self._steps, agents = config.steps, config.agents

@@ -76,7 +76,7 @@ def _draw(config: VisitorsConfig, seed: int, episode: int) -> _Episode:
 
 
 class Visitors:
-    """C copies.
+    """The visitors' environment in C copies.
 
     Observation: values of the options, then 1 if ready (D = 4). State: alive mask, and elapsed share of the
     maximum length (S = N + 1). Rows of absent agents are NaN, their masks False.

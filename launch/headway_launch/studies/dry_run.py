@@ -74,7 +74,7 @@ def makespan(seconds: Sequence[float], parallel: int) -> float:
 
 
 def spans(numbers: Sequence[int]) -> str:
-    """Return rising numbers as text, with three or more consecutive ones shortened to a range: `0..3,7`."""
+    """Return ascending numbers as text, three or more consecutive ones shortened to a range: `0..3,7`."""
     parts: list[list[int]] = []
     for number in numbers:
         if parts and number == parts[-1][-1] + 1:

@@ -39,7 +39,7 @@ class StudyProgress:
 
     @classmethod
     def of(cls, root: Path, experiment: Experiment, rows: Sequence["RunRow"]) -> "StudyProgress":
-        """Return the progress of an experiment; `rows`: the index of its study's runs."""
+        """Return the progress of an experiment; `rows`: index rows of its study's runs."""
         parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
         cell = cell_name(experiment.config.env.id, experiment.algo_name, parameters)
         wanted = identity(full_mapping(experiment, ()))

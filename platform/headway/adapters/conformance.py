@@ -102,7 +102,10 @@ def check_masks(make: Make, recording: Recording) -> None:
 
 
 def check_shared_reward(make: Make, recording: Recording) -> None:
-    """Check that a reward shared by all agents or a group is in all their slots, absent agents' included."""
+    """Check that a reward shared by all agents or a group is equal in the slots of all of them.
+
+    Absent agents are included. Raises AssertionError.
+    """
     rewards, spec = recording.trajectory.rewards, recording.spec
     if spec.shared_reward:
         assert (rewards == rewards[..., :1]).all(), "shared_reward is true, but rewards differ"

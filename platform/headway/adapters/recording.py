@@ -39,12 +39,12 @@ class Recording:
 
     @property
     def steps(self) -> int:
-        """T."""
+        """Number of steps, T."""
         return len(self.episode_ended)
 
     @property
     def copies(self) -> int:
-        """C."""
+        """Number of copies, C."""
         return int(self.episode_ended.shape[1])
 
     def of_copy(self, copy: int, first: int = 0, steps: int | None = None) -> "Recording":

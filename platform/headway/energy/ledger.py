@@ -20,7 +20,7 @@ _COLUMNS = 1 + len(_PARTS)
 
 @dataclass(frozen=True, slots=True)
 class JobUsage:
-    """Usage of a job as of its last report."""
+    """CPU time and memory of a job, and whether it uses a GPU, at its last report."""
 
     cpu_seconds: float
     """CPU seconds of all its processes since they started."""

@@ -59,9 +59,10 @@ class PoolContributors:
         self.pool.send(worker, task)
 
     def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
-        """Wait for a contribution, see `Contributors.next_done`.
+        """Wait for a contribution; return its worker, task and answer.
 
-        A worker that dies is replaced and repeats its contribution while the others continue.
+        `turn`: worker to wait for; None: whichever answers first. A worker that dies is replaced and repeats
+        its contribution while the others continue.
         """
         while True:
             worker = self._next_ready() if turn is None else turn
@@ -150,7 +151,7 @@ class SerialContributors:
         self.tasks[worker] = task
 
     def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
-        """Execute a task, see `Contributors.next_done`; without `turn` the one assigned first."""
+        """Execute a task; return its worker, task and answer. `turn`: worker; None: that assigned first."""
         worker = next(iter(self.tasks)) if turn is None else turn
         task = self.tasks.pop(worker)
         return worker, task, self.workers[worker].execute(task)

@@ -1,4 +1,4 @@
-"""Inference of the acting policies during rollouts, block by block, with the hidden states it needs."""
+"""Acting policies during rollouts: evaluation in blocks of copies, with recurrent policies' hidden states."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -43,7 +43,7 @@ from headway_envs.keyed_random import uniform
 
 @compiled
 def congestion_factor(k: Record, world: World, c: int, time: float) -> float:
-    """Return the travel-time factor of the network at `time`."""
+    """Return copy c's congestion factor on travel times at `time` (s), interpolated between bins."""
     bins = world.congestion.shape[1] - 1
     bin_ = bin_of(time, k.start_s, bins)
     weight = min(max((time - k.start_s) / BIN_S - bin_, 0.0), 1.0)

@@ -52,7 +52,7 @@ Experience = Mapping[str, NDArray[Any]]
 def ray_collector(
     backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
 ) -> PoolCollector:
-    """Start one Ray worker per shard. Raises HeadwayError if the cluster cannot be used."""
+    """Return a collector with one Ray worker per shard. Raises HeadwayError if the cluster cannot be used."""
     return PoolCollector(plan, RaySamplingTransport(backend, plan, shards, notify), len(shards), notify)
 
 
