@@ -177,8 +177,8 @@ def _report_growth(
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
     print(
         "\nProjected from the measured single worker, for equally fast workers on one node. Assumed, not "
-        f"measured: {_OVERLAP} concurrent calls. Blocks of copies are not split between workers, so there "
-        "is no projection for more workers than blocks (a smaller rollout.block gives more)."
+        f"measured: {_OVERLAP} concurrent calls. Blocks of copies are not split between workers, so "
+        "nothing is projected for more workers than blocks (a smaller rollout.block gives more)."
     )
 
 

@@ -1,6 +1,7 @@
 """Environments, algorithms and wrappers by name, the project's own and those of other packages.
 
-Other packages add theirs by entry point (`headway.envs`, `headway.algos`, `headway.wrappers`).
+Other packages add theirs by entry point (`headway.envs`, `headway.algos`, `headway.wrappers`). On-policy
+components have groups of their own: see `headway_algos.components`.
 """
 
 from collections.abc import Mapping
@@ -107,14 +108,16 @@ def wrapper_entry(name: str, path: str = "") -> WrapperEntry:
     try:
         return wrapper_entries()[name]
     except KeyError:
-        raise HeadwayError(f"{before}{name!r} is no wrapper; {suggestion(name, wrapper_entries())}") from None
+        raise HeadwayError(
+            f"{before}unknown wrapper {name!r}; {suggestion(name, wrapper_entries())}"
+        ) from None
 
 
 def _named(entries: Mapping[str, Entry], name: str, kind: str) -> Entry:
     try:
         return entries[name]
     except KeyError:
-        raise HeadwayError(f"{name!r} is no {kind}; {suggestion(name, entries)}") from None
+        raise HeadwayError(f"unknown {kind} {name!r}; {suggestion(name, entries)}") from None
 
 
 def _load(

@@ -78,7 +78,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     if arguments.episodes < 2:
         raise HeadwayError(
-            f"--episodes {arguments.episodes}: must be at least 2, because episodes are paired"
+            f"--episodes {arguments.episodes}: must be at least 2, because an interval needs two episodes"
         )
     if arguments.seed < 0:
         raise HeadwayError(f"--seed {arguments.seed}: must not be negative")
@@ -95,12 +95,12 @@ def execute(arguments: argparse.Namespace) -> int:
     policies = {label: [newest_policy(run, found) for run in members] for label, members in cells.items()}
     root, episodes, greedy = arguments.seed, arguments.episodes, arguments.mode == "greedy"
     players = len(names) + sum(map(len, policies.values()))
-    with CountedProgress("episodes played", players * episodes) as counted:
-        rules = rule_episodes(experiment, found.prepared, names, root, episodes, counted)
+    with CountedProgress("episodes played", players * episodes) as progress:
+        rules = rule_episodes(experiment, found.prepared, names, root, episodes, progress)
         reference = arguments.against or max(rules, key=lambda rule: _mean(rules[rule], "return"))
         played = {
             label: [
-                policy_episodes(policy, root, episodes, greedy, counting(counted, label))
+                policy_episodes(policy, root, episodes, greedy, counting(progress, label))
                 for policy in of_cell
             ]
             for label, of_cell in policies.items()
@@ -209,9 +209,7 @@ def _metrics(names: str, known: Sequence[str]) -> tuple[str, ...]:
     wanted = tuple(name.strip() for name in names.split(",") if name.strip())
     for name in wanted:
         if name not in known:
-            raise HeadwayError(
-                f"--metrics: {name!r} is no metric of this environment; {suggestion(name, known)}"
-            )
+            raise HeadwayError(f"--metrics: unknown metric {name!r}; {suggestion(name, known)}")
     if not wanted:
         raise HeadwayError("--metrics is empty; give at least one, such as --metrics return")
     return wanted

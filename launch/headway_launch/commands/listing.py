@@ -96,7 +96,7 @@ def _require_env(name: str) -> str:
     """Return `name`. Raises HeadwayError if it is neither an environment nor a module path."""
     if "." in name or name in _names(None):
         return name
-    raise HeadwayError(f"{name!r} is no environment; {suggestion(name, _names(None))}")
+    raise HeadwayError(f"unknown environment {name!r}; {suggestion(name, _names(None))}")
 
 
 def _file_only_envs() -> list[str]:
@@ -159,7 +159,7 @@ def _list_keys(name: str | None) -> None:
     rows = [row for row in describe(ExperimentConfig) if row.key == name or row.key.startswith(f"{name}.")]
     if not rows:
         keys = [row.key for row in describe(ExperimentConfig)]
-        raise HeadwayError(f"{name!r} is no key; {suggestion(name, keys)}")
+        raise HeadwayError(f"unknown key {name!r}; {suggestion(name, keys)}")
     _print_descriptions(rows)
 
 
@@ -171,7 +171,7 @@ def _list_group(group: str) -> Callable[[str | None], None]:
         elif name in options:
             print((configs_folder() / group / f"{name}.yaml").read_text(encoding="utf-8"), end="")
         else:
-            raise HeadwayError(f"{name!r} is no {group}; {suggestion(name, options)}")
+            raise HeadwayError(f"unknown {group} {name!r}; {suggestion(name, options)}")
 
     return show
 

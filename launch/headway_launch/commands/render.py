@@ -46,7 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the run or environment, the episode and the output."""
     parser.add_argument("name", metavar="RUN|ENV", help="a run, or with --rule an environment of configs/env")
     parser.add_argument(
-        "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="with --rule: env.args.density=3"
+        "overrides",
+        metavar="KEY=VALUE",
+        nargs="*",
+        default=[],
+        help="overrides of the environment (only with --rule), such as env.args.density=3",
     )
     parser.add_argument("--rule", help="rule to render (default: the run's policy)")
     parser.add_argument(
@@ -112,7 +116,7 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
     if not 0.1 <= arguments.fps <= 50.0:
         raise HeadwayError(f"--fps must lie between 0.1 and 50, not {arguments.fps:g}")
     if arguments.keep and arguments.rule is not None:
-        raise HeadwayError("--keep stores pictures of runs; omit it or --rule")
+        raise HeadwayError("--keep works for runs only; omit --keep or --rule")
     if arguments.keep and output.name != str(output):
         raise HeadwayError(f"--output: with --keep give a name without a folder, {output.name}, not {output}")
     if arguments.overrides and arguments.rule is None:
@@ -190,7 +194,7 @@ def _player(arguments: argparse.Namespace) -> _Player:
     experiment = compose([f"env={arguments.name}", *arguments.overrides])
     found, rules = experiment.prepare(), experiment.env.rules
     if arguments.rule not in rules:
-        raise HeadwayError(f"--rule: {arguments.rule!r} is no rule here; {suggestion(arguments.rule, rules)}")
+        raise HeadwayError(f"--rule: unknown rule {arguments.rule!r}; {suggestion(arguments.rule, rules)}")
     rule = rules[arguments.rule].make(found.prepared)
     settings = f", {' '.join(arguments.overrides)}" if arguments.overrides else ""
     return _Player(
@@ -221,7 +225,7 @@ def _run(arguments: argparse.Namespace) -> "StoredRun":
         is_part = any(arguments.name in folder.name for folder in run_folders(Path(arguments.store)))
         if not is_part and (near := nearest(arguments.name, known)):
             raise HeadwayError(
-                f"{arguments.name!r} is no run and no environment; did you mean {near}, with --rule RULE? "
+                f"unknown run or environment {arguments.name!r}; did you mean {near}, with --rule RULE? "
                 "`headway runs` shows the runs"
             ) from error
         raise
@@ -238,7 +242,7 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
     found = player.environment
     assert found.entry.renderer is not None
     renderer = found.entry.renderer(found.prepared)
-    with CountedProgress("steps played") as played, closing(player.make()) as env:
+    with CountedProgress("steps played") as progress, closing(player.make()) as env:
         observed, ended = env.reset(evaluation_seeds(root, episode, 1)), False
         first = renderer.render(behind_wrappers(env), at_end=False)
         strip = caption_strip(caption, first.shape[1])
@@ -248,7 +252,7 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
             outcome, observed = env.step(player.act(env, observed))
             player.reset_ended(outcome)
             ended = bool(outcome.episode_ended[0])
-            played.add()
+            progress.add()
             yield np.concatenate((renderer.render(behind_wrappers(env), at_end=ended), strip))
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 def write_figure(figure: "Figure", output: Path) -> None:
     """Write a figure to the file of `--output`.
 
-    Raises HeadwayError if its suffix is no picture format or it cannot be written.
+    Raises HeadwayError if its suffix is not that of a picture format or it cannot be written.
     """
     if not output.suffix:
         raise HeadwayError(

@@ -28,7 +28,7 @@ def require_environment_module(name: str) -> None:
     """
     if not _PATH.fullmatch(name):
         raise HeadwayError(
-            f"env.id={name} is no public module; write package.module, such as mpe2.simple_spread_v3"
+            f"env.id={name} is not a public module; write package.module, such as mpe2.simple_spread_v3"
         )
     package = name.split(".")[0]
     spec = importlib.util.find_spec(package)

@@ -152,7 +152,7 @@ def _factory(name: str, module: ModuleType) -> Callable[..., Any]:
         if callable(factory):
             found: Callable[..., Any] = factory
             return found
-    raise HeadwayError(f"env.id={name} has neither parallel_env nor env: it is no PettingZoo environment")
+    raise HeadwayError(f"env.id={name} has neither parallel_env nor env: it is not a PettingZoo environment")
 
 
 def _signature_source(module: ModuleType, name: str) -> Callable[..., Any] | None:
@@ -172,7 +172,8 @@ def _parallel(name: str, env: Any) -> Any:  # noqa: ANN401 - PettingZoo comes wi
         return env
     if not isinstance(env, AECEnv):
         raise HeadwayError(
-            f"env.id={name} makes a {type(env).__name__}, which is no ParallelEnv or AECEnv of PettingZoo's"
+            f"env.id={name} makes an object of type {type(env).__name__}, which is neither a ParallelEnv nor "
+            "an AECEnv of PettingZoo"
         )
     if not env.metadata.get("is_parallelizable", False):
         raise HeadwayError(

@@ -151,7 +151,8 @@ def check_country(country: str) -> None:
     near = named or next(iter(get_close_matches(country.upper(), codes, n=1)), None)
     hint = f"did you mean {near}?" if near else "write its ISO 3166-1 alpha-3 code, such as DEU, or null"
     raise HeadwayError(
-        f"energy.country {country!r} is no three-letter code of a country with a known energy mix; {hint}"
+        f"energy.country {country!r} is not the three-letter code of a country with a known energy "
+        f"mix; {hint}"
     )
 
 

@@ -137,7 +137,9 @@ class RunRecord:
             session = Process(**content.pop("session"))
             return cls(session=session, **{key: value for key, value in content.items() if key in known})
         except (KeyError, TypeError) as error:
-            raise HeadwayError(f"{directory / RECORD} is no valid run record: remove or repair it") from error
+            raise HeadwayError(
+                f"{directory / RECORD} is not a valid run record: remove or repair it"
+            ) from error
 
     def ended_as(self, status: Status) -> Self:
         """Return the record with `status` and the current time as the end."""

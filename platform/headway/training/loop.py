@@ -316,8 +316,8 @@ def _open_mode(job: TrainingJob, learner: Learner, notify: Callable[[str], None]
         return collector, SynchronousMode(learner, collector)
     if not isinstance(learner, AsynchronousLearner):
         raise HeadwayError(
-            f"the entry of algo={job.config.algo.get('name')} has a contributor, but its learner is no "
-            "headway.contracts.AsynchronousLearner; add the missing methods, or leave the contributor out"
+            f"the entry of algo={job.config.algo.get('name')} has a contributor, but its learner is not "
+            "a headway.contracts.AsynchronousLearner; add the missing methods, or leave the contributor out"
         )
     asynchronous = AsynchronousPlan(plan, job.make_contributor, job.algo_config, job.contributor_preload)
     contributors = open_contributors(backend, asynchronous, notify)

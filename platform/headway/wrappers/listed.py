@@ -39,7 +39,7 @@ def _listed(item: Any, path: str) -> ListedWrapper:  # noqa: ANN401 - whatever Y
     arguments = {"name": item} if isinstance(item, str) else item
     if not isinstance(arguments, Mapping) or not isinstance(arguments.get("name"), str):
         raise HeadwayError(
-            f"{path}={item} is no wrapper; write a name, or its arguments too, such as "
+            f"{path}={item} is not a wrapper; write a name, or its arguments too, such as "
             "{name: frame_stack_v1, stack_size: 4}"
         )
     name = arguments["name"]

@@ -62,7 +62,7 @@ def test_rules_are_compared_on_the_days_of_an_environment(
         ([*GAME, "--against", "ippo"], "--against: there is no rule 'ippo'"),
         (
             [*GAME, "--metrics", "distanse"],
-            "'distanse' is no metric of this environment; did you mean distance?",
+            "unknown metric 'distanse'; did you mean distance?",
         ),
         ([*GAME, "--episodes", "1"], "must be at least 2"),
     ],

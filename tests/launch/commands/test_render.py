@@ -136,8 +136,8 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(
     [
         (["merge", "--output", "a.png"], "merge is an environment; add --rule RULE, or name a run"),
         (["s0"], "there is no store in 'runs'"),
-        (["buss"], "'buss' is no run and no environment; did you mean bus, with --rule RULE?"),
-        (["merge", "--rule", "idel"], "--rule: 'idel' is no rule here; did you mean idle?"),
+        (["buss"], "unknown run or environment 'buss'; did you mean bus, with --rule RULE?"),
+        (["merge", "--rule", "idel"], "--rule: unknown rule 'idel'; did you mean idle?"),
         (
             ["trivial", "--rule", "random"],
             "trivial cannot be rendered; environments that can: bus, intersection",
@@ -147,7 +147,7 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(
         (["merge", "--rule", "idle", "--episode", "-1"], "--episode, --seed and --step must be at least 0"),
         (
             ["merge", "--rule", "idle", "--keep"],
-            "--keep stores pictures of runs; omit it or --rule",
+            "--keep works for runs only; omit --keep or --rule",
         ),
         (
             ["s0", "--output", "a/b.png", "--keep"],

@@ -218,7 +218,7 @@ def test_a_key_of_an_earlier_version_is_named_with_its_replacement() -> None:
             "algo.critic=local",
             ["algo.critic='local' is not possible: mappo has critic=central", "algo=ippo", "custom"],
         ),
-        ("env.id=bsu", ["'bsu' is no environment"]),
+        ("env.id=bsu", ["unknown environment 'bsu'"]),
         ("algo.name=hatrpo", ["algo.name follows from the choice of algo", "write algo=hatrpo"]),
         ("seed=1..x", ["seed=1..x is not a list of seeds", "0..49"]),
         ("seed=-1", ["seed=-1: seeds must not be negative", "0..49"]),

@@ -128,19 +128,19 @@ def test_wrappers_may_stand_in_yaml_one_a_line() -> None:
         ((*SPREAD, "env.max_copies_per_process=0"), "env.max_copies_per_process must be at least 1, or null"),
         (
             ("env=trivial", "env.wrappers=[frame_stak_v1]"),
-            r"env.wrappers\[0\]: 'frame_stak_v1' is no wrapper",
+            r"env.wrappers\[0\]: unknown wrapper 'frame_stak_v1'",
         ),
         (
             ("env=trivial", "env.wrappers=frame_stack_v1"),
             "env.wrappers='frame_stack_v1' is text, where a list",
         ),
-        (("env=trivial", "env.wrappers=[{name: os.system}]"), "'os.system' is no wrapper"),
+        (("env=trivial", "env.wrappers=[{name: os.system}]"), "unknown wrapper 'os.system'"),
         (
             ("env=trivial", "env.wrappers=[{name: clip_reward_v0, _target_: os.system}]"),
             "_target_.* is not allowed",
         ),
         (("env=os.path",), "os is not an installed package that depends on PettingZoo"),
-        (("env=../../evil.yaml",), "is no public module"),
+        (("env=../../evil.yaml",), "is not a public module"),
     ],
 )
 def test_invalid_environments_and_wrappers_print_one_line(overrides: tuple[str, ...], message: str) -> None:
@@ -313,7 +313,10 @@ def test_rules_to_compare_with_are_chosen(capsys: pytest.CaptureFixture[str]) ->
     for words, line in (
         (["--rules", "optimum"], "--rules: there is no rule 'optimum'; did you mean optimal?"),
         (["--rules", ","], "--rules is empty"),
-        (["--episodes", "1"], "headway: --episodes 1: must be at least 2, because episodes are paired\n"),
+        (
+            ["--episodes", "1"],
+            "headway: --episodes 1: must be at least 2, because an interval needs two episodes\n",
+        ),
         (["--seed", "-1"], "headway: --seed -1: must not be negative\n"),
         (["--rules", "random", "--against", "optimum"], "--against: there is no rule 'optimum'"),
     ):

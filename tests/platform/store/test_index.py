@@ -93,7 +93,7 @@ def test_a_broken_record_is_a_notice(tmp_path: Path) -> None:
     assert str(broken) in index.notices[0]
     (broken / "run.json").write_text(json.dumps({"run_id": "x"}))
     index.rows()
-    assert "is no valid run record" in index.notices[0]
+    assert "is not a valid run record" in index.notices[0]
 
 
 def test_a_query_reads_only_changed_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -230,7 +230,7 @@ def test_a_contributor_with_a_synchronous_learner_is_refused_by_the_name_of_its_
     config = replace(job.config, algo={"name": "theirs"})
     learning = ENTRIES["ippo"].learner
     with pytest.raises(
-        HeadwayError, match="the entry of algo=theirs has a contributor, but its learner is no"
+        HeadwayError, match="the entry of algo=theirs has a contributor, but its learner is not a"
     ):
         trained(replace(job, config=config, make_learner=learning))
 

@@ -29,8 +29,11 @@ def test_names_and_mappings_can_be_mixed() -> None:
 @pytest.mark.parametrize(
     ("item", "message"),
     [
-        ("frame_stack_v9", r"env.wrappers\[0\]: 'frame_stack_v9' is no wrapper; did you mean frame_stack_v"),
-        ("frame_stack_v0", r"'frame_stack_v0' is no wrapper; did you mean frame_stack_v"),  # deprecated
+        (
+            "frame_stack_v9",
+            r"env.wrappers\[0\]: unknown wrapper 'frame_stack_v9'; did you mean frame_stack_v",
+        ),
+        ("frame_stack_v0", r"unknown wrapper 'frame_stack_v0'; did you mean frame_stack_v"),  # deprecated
         ("observation_lambda_v0", "observation_lambda_v0 cannot be used: it takes Python functions"),
         ("concat_vec_envs_v1", "concat_vec_envs_v1 cannot be used: it makes a vector of environments"),
         ("vectorize_aec_env_v0", "it makes a vector of environments"),
@@ -53,10 +56,10 @@ def test_names_and_mappings_can_be_mixed() -> None:
             {"name": "dtype_v0", "dtype": "flaot32"},
             "dtype must name a numpy type such as float32, not flaot32",
         ),
-        ({"stack_size": 4}, r"env.wrappers\[0\]=.* is no wrapper; write a name"),
-        (4, "is no wrapper; write a name"),
-        ({"name": "_target_"}, "'_target_' is no wrapper"),
-        ({"name": "__builtins__"}, "'__builtins__' is no wrapper"),
+        ({"stack_size": 4}, r"env.wrappers\[0\]=.* is not a wrapper; write a name"),
+        (4, "is not a wrapper; write a name"),
+        ({"name": "_target_"}, "unknown wrapper '_target_'"),
+        ({"name": "__builtins__"}, "unknown wrapper '__builtins__'"),
     ],
 )
 def test_unusable_items_are_one_line_errors(item: Any, message: str) -> None:  # noqa: ANN401 - whatever YAML holds

@@ -148,7 +148,7 @@ def _timetable_days(days: Sequence[Day], wanted: Mapping[DayType, dt.date | None
             own = [day for day in own if day.date == date]
             if not own:
                 there = _dates([day for day in days if day.day_type == kind]) or "none"
-                raise HeadwayError(f"--{kind}: {date} is no {kind} with trips here; available: {there}")
+                raise HeadwayError(f"--{kind}: {date} is not a {kind} with trips here; available: {there}")
         if own:
             found[kind] = max(own, key=lambda day: day.trips)
     if not found:

@@ -204,7 +204,7 @@ def test_holidays_have_the_timetable_of_a_sunday_and_dates_can_be_given(tmp_path
     assert imported(raw).meta["dates"] == {"weekday": "2024-11-22", "sunday": "2024-11-15"}
     assert imported(raw, sunday=SUNDAY).meta["dates"]["sunday"] == "2024-09-15"
     with pytest.raises(
-        HeadwayError, match="--weekday: 2024-11-15 is no weekday with trips here; available: 2024"
+        HeadwayError, match="--weekday: 2024-11-15 is not a weekday with trips here; available: 2024"
     ):
         imported(raw, weekday=holiday)
 
