@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from headway_algos.on_policy.updates import Update
     from headway_algos.on_policy.updates.gradient_update import GradientUpdate
     from headway_algos.on_policy.updates.kfac import KFAC
-    from headway_algos.on_policy.updates.losses import A2CLoss, Minibatch, PolicyLoss, PPOLoss
+    from headway_algos.on_policy.updates.losses import A2CLoss, LossRows, PolicyLoss, PPOLoss
     from headway_algos.on_policy.updates.trpo import TRPO
 
 __all__ = [
@@ -35,7 +35,7 @@ __all__ = [
     "Distribution",
     "GradientUpdate",
     "GradientUpdateConfig",
-    "Minibatch",
+    "LossRows",
     "MinibatchConfig",
     "ModelConfig",
     "PPOLoss",
@@ -53,7 +53,7 @@ __getattr__ = lazy_attributes(
         "Distribution": "headway_algos.networks.distributions:Distribution",
         "GradientUpdate": "headway_algos.on_policy.updates.gradient_update:GradientUpdate",
         "KFAC": "headway_algos.on_policy.updates.kfac:KFAC",
-        "Minibatch": "headway_algos.on_policy.updates.losses:Minibatch",
+        "LossRows": "headway_algos.on_policy.updates.losses:LossRows",
         "PPOLoss": "headway_algos.on_policy.updates.losses:PPOLoss",
         "PolicyLoss": "headway_algos.on_policy.updates.losses:PolicyLoss",
         "TRPO": "headway_algos.on_policy.updates.trpo:TRPO",

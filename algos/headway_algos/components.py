@@ -130,7 +130,7 @@ def component(kind: str, name: str) -> Component:
     if name in KINDS[kind]:
         return KINDS[kind][name]
     if name not in (others := _others(kind)):
-        raise HeadwayError(f"{name!r} is no {kind}; available: {', '.join(sorted(names(kind)))}")
+        raise HeadwayError(f"unknown {kind} {name!r}; available: {', '.join(sorted(names(kind)))}")
     loaded = others[name].load()
     if not isinstance(loaded, Component):
         raise HeadwayError(f"{others[name].value}, entry point of algo.{kind}={name}, must be a Component")

@@ -8,7 +8,7 @@ from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, L
 from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
 from headway_algos.agent_id import agent_ids, impossible_ids
 from headway_algos.grouping import Grouping
-from headway_algos.recipes import ReplayRecipe
+from headway_algos.recipes import KERNELS, ReplayRecipe
 from headway_algos.replay_config import DDPGConfig, ReplayConfig
 
 LEARNER = Lazy("headway_algos.off_policy.learner:OffPolicyLearner")
@@ -82,9 +82,10 @@ def replay_entry(recipe: ReplayRecipe) -> AlgoEntry:
         recipe.summary,
         recipe.source,
         recipe.config,
-        _epsilon_greedy if discrete else _ornstein_uhlenbeck,
-        partial(LEARNER, method=recipe.method),
-        _refuses_all_but_discrete if discrete else _refuses_all_but_bounded,
-        _replay_bytes,
+        acting_policy=_epsilon_greedy if discrete else _ornstein_uhlenbeck,
+        learner=partial(LEARNER, method=recipe.make_method),
+        refuses=_refuses_all_but_discrete if discrete else _refuses_all_but_bounded,
+        replay_bytes=_replay_bytes,
+        kernels=KERNELS,
         rollout=_rollout,
     )

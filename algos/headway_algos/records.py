@@ -1,4 +1,7 @@
-"""Records of the keys of recipes, composed of their components' records. Imports no torch."""
+"""Configuration classes of the on-policy algorithms, assembled from those of their components.
+
+Imports no torch.
+"""
 
 from collections.abc import Mapping
 from dataclasses import field, fields, make_dataclass
@@ -11,22 +14,22 @@ from headway_algos.migration import OBSOLETE_KEYS, without_effect
 from headway_algos.on_policy.critics.config import CriticConfig
 from headway_algos.recipes import Recipe, recipes
 
-USUAL = {"critic": "local", "update": "ppo", "critic_update": "adam", "order": "simultaneous"}
+DEFAULT_COMPONENTS = {"critic": "local", "update": "ppo", "critic_update": "adam", "order": "simultaneous"}
 """Components of `algo=custom` unless others are chosen."""
 
 
-def record(recipe: Recipe, chosen: Mapping[str, Any]) -> type[AlgoConfig]:
+def config_class(recipe: Recipe, chosen: Mapping[str, Any]) -> type[AlgoConfig]:
     """Return the configuration class of an algorithm, given the values of the keys that choose components.
 
-    An unknown name of a component is treated as unset; `build` raises the error.
+    An unknown name of a component is treated as unset; `headway.config.schema.build` raises the error.
     """
     used = []
     for kind in KINDS:
         fixed, name = getattr(recipe, kind), chosen.get(kind)
         if fixed is None and name not in names(kind):
-            name = recipe.defaults.get(kind, USUAL[kind])
+            name = recipe.defaults.get(kind, DEFAULT_COMPONENTS[kind])
         used.append((kind, fixed or str(name)))
-    return _record(recipe, tuple(used))
+    return _config_class(recipe, tuple(used))
 
 
 def rollout(recipe: Recipe, config: AlgoConfig) -> Mapping[str, int]:
@@ -41,14 +44,14 @@ def obsolete_keys(recipe: Recipe) -> dict[str, Any]:
 
 def stored(recipe: Recipe, kept: Mapping[str, Any]) -> dict[str, Any]:
     """Drop stored keys of other algorithms and reset values that had no effect: see `AlgoEntry.stored`."""
-    keys_of = record(recipe, kept)
+    keys_of = config_class(recipe, kept)
     keys, obsolete = {each.name for each in fields(keys_of)}, obsolete_keys(recipe)
-    heeded = {key: value for key, value in kept.items() if key in keys or key not in obsolete}
-    return {**heeded, **without_effect(heeded, keys_of)}
+    kept_keys = {key: value for key, value in kept.items() if key in keys or key not in obsolete}
+    return {**kept_keys, **without_effect(kept_keys, keys_of)}
 
 
 @cache
-def _record(recipe: Recipe, used: tuple[tuple[str, str], ...]) -> type[AlgoConfig]:
+def _config_class(recipe: Recipe, used: tuple[tuple[str, str], ...]) -> type[AlgoConfig]:
     """Return the class with the keys of a recipe's components, given the name of each by kind."""
     chosen = dict(used)
     parts = [component(kind, chosen[kind]).config for kind in ("order", "update", "critic")]
@@ -116,4 +119,4 @@ def _related(recipe: Recipe, kind: str) -> str:
 
 
 def _restored(recipe: Recipe, used: tuple[tuple[str, str], ...], values: dict[str, Any]) -> AlgoConfig:
-    return _record(recipe, used)(**values)
+    return _config_class(recipe, used)(**values)

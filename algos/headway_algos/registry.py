@@ -1,6 +1,6 @@
 """Registry of algorithms by name. Importing it imports no torch."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -10,10 +10,7 @@ from headway_algos.acting.policy import acting_policy
 from headway_algos.agent_id import impossible_ids
 from headway_algos.config import AlgoConfig, SimultaneousConfig
 from headway_algos.off_policy_entry import replay_entry
-from headway_algos.recipes import Recipe, recipes
-
-KERNELS = ("headway_algos.kernels",)
-"""Modules of compiled kernels. Every algorithm uses at least Adam's."""
+from headway_algos.recipes import KERNELS, Recipe, recipes
 
 
 def _simultaneous(config: AlgoConfig) -> str | None:
@@ -76,9 +73,9 @@ def _refuses_budget(config: AlgoConfig, iterations: int) -> str | None:
     if begins >= config.shared_until:
         return None
     return (
-        f"the last iteration begins at {begins:.3g} of training, before algo.shared_until="
-        f"{config.shared_until:g}, so the shared policy would never be split; train for more env_steps, or "
-        "lower it"
+        f"the last iteration begins after {begins:.3g} of training, before algo.shared_until="
+        f"{config.shared_until:g}, so the shared policy would never be split; raise env_steps or lower "
+        "algo.shared_until"
     )
 
 
@@ -87,7 +84,7 @@ def entry(recipe: Recipe) -> AlgoEntry:
 
     Raises TypeError if the recipe has a default for a key that the algorithm does not have.
     """
-    record = records.record(recipe, {})
+    record = records.config_class(recipe, {})
     if unknown := set(recipe.defaults) - {key.name for key in fields(record)}:
         raise TypeError(f"recipe {recipe.name} has no key {', '.join(sorted(unknown))}")
     return AlgoEntry(
@@ -101,7 +98,7 @@ def entry(recipe: Recipe) -> AlgoEntry:
         contributor=recipe.contributor,
         preload=recipe.preload,
         kernels=KERNELS,
-        record=partial(records.record, recipe),
+        record=partial(records.config_class, recipe),
         stored=partial(records.stored, recipe),
         obsolete_keys=records.obsolete_keys(recipe),
         rollout=partial(records.rollout, recipe),
@@ -109,7 +106,7 @@ def entry(recipe: Recipe) -> AlgoEntry:
 
 
 ENTRIES = {
-    name: entry(recipe) if isinstance(recipe, Recipe) else replace(replay_entry(recipe), kernels=KERNELS)
+    name: entry(recipe) if isinstance(recipe, Recipe) else replay_entry(recipe)
     for name, recipe in sorted(recipes().items())
 }
 

@@ -133,11 +133,8 @@ class DDPGConfig(ReplayConfig):
     critic_lr: float | None = 1e-3
     """Learning rate of the critic; null: `lr`."""
     target_every: int = 1
-    """Gradient steps between updates of the target networks."""
     tau: float = 0.005
-    """Step size of a target network's update towards its online network; 1: copy."""
     loss: Literal["huber", "squared"] = "squared"
-    """Loss of the temporal-difference error: half its square, or (Huber) linear beyond 1."""
     saturation_coeff: float = 0.0
     """Weight of a penalty in the actor's objective: the squared inputs of its tanh, summed over the
     components of an action. Without it actions can stick to the bounds, where the gradient vanishes

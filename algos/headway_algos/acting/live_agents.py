@@ -13,7 +13,7 @@ from headway_algos.kernels.products import LANES
 
 
 def evaluate_live(
-    by_agent: NDArray[Any],
+    inputs: NDArray[Any],
     alive: NDArray[np.bool_],
     grouping: Grouping,
     layers: Sequence[tuple[NDArray[Any], NDArray[Any]]],
@@ -27,7 +27,7 @@ def evaluate_live(
     bound at which they are then clipped. A result does not depend on the other agents, copies and replicas,
     to the last bit.
     """
-    copies, agents, size = by_agent.shape
+    copies, agents, size = inputs.shape
     weights, biases = zip(*layers, strict=True)
     policies, dtype = len(weights[0]), weights[0].dtype
     if normaliser is None:
@@ -38,7 +38,7 @@ def evaluate_live(
     rows = np.empty((2, width, -(-most // LANES) * LANES), dtype)
     outputs = np.zeros((copies * agents, weights[-1].shape[1]), dtype)
     kernel.evaluate_live(
-        np.ascontiguousarray(by_agent).reshape(copies * agents, size), np.ascontiguousarray(alive),
+        np.ascontiguousarray(inputs).reshape(copies * agents, size), np.ascontiguousarray(alive),
         grouping.members, *normaliser, weights, biases, ACTIVATIONS[activation],
         np.empty(most, np.int64), rows, outputs,
     )  # fmt: skip

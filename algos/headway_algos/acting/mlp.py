@@ -1,4 +1,5 @@
-"""Acting policy with multilayer perceptrons, without torch; equals the torch actor to 1e-5."""
+"""Acting policy with multilayer perceptrons, without torch; log-probabilities equal the torch actor's
+within 1e-5."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -92,6 +92,10 @@ class WholeBatch:
         """(P,): True for policies with at least one selected row."""
         return (self.weight > 0).any(1)
 
+    def where_rows(self, values: Tensor) -> Tensor:
+        """Return values (P,), NaN for policies without a selected row."""
+        return torch.where(self.has_rows, values, torch.nan)
+
     @property
     def _count(self) -> int:
         """Rows, or sequences (U), per policy."""

@@ -12,11 +12,11 @@ from headway_algos.kernels.acting import warm_acting
 from headway_algos.kernels.adam import Adam, step_networks
 from headway_algos.kernels.gae import write_advantages
 from headway_algos.kernels.jacobian import add_transposed_jacobian, multiply_jacobian, store_activations
-from headway_algos.kernels.losses import (
+from headway_algos.kernels.minibatch_steps import (
     BoxActions,
     DiscreteActions,
-    Minibatches,
     PolicyData,
+    RowIndices,
     Targets,
     descend_categorical,
     descend_gaussian,
@@ -31,9 +31,9 @@ __all__ = [
     "Adam",
     "BoxActions",
     "DiscreteActions",
-    "Minibatches",
     "Perceptrons",
     "PolicyData",
+    "RowIndices",
     "Targets",
     "activate_stack",
     "add_transposed_jacobian",
@@ -63,9 +63,9 @@ def warm() -> None:
     steps = (
         perceptrons(table, table, np.array([[1, 1, 0, 0]]), relu=False),
         Adam(table, table, counts, 0.0, math.inf, (0.0, 0.0), 1.0),
-        Minibatches(np.zeros((0, 1, 0), np.int64), np.zeros((0, 1), np.int64)),
+        RowIndices(np.zeros((0, 1, 0), np.int64), np.zeros((0, 1), np.int64)),
     )
-    policy = PolicyData(table, row, row, table, row, 0.0, 0.0)
+    policy = PolicyData(table, row, row, table, row, True, 0.0, 0.0)
     descend_gaussian(*steps, policy, BoxActions(table, table, 0), table, row)
     descend_categorical(*steps, policy, DiscreteActions(counts, np.ones((1, 1), np.bool_)), table, row)
     descend_returns(*steps, Targets(table, counts, row, 0.0), table, row)

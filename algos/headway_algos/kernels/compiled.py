@@ -12,7 +12,7 @@ from headway.contracts.numba_setup import compiled_with, drop_stale_cache
 P = ParamSpec("P")
 R = TypeVar("R")
 Floats = NDArray[Any]
-"""Floating-point array in the networks' dtype."""
+"""Array of floating-point numbers."""
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 drop_stale_cache(Path(__file__).parent)

@@ -31,13 +31,13 @@ def _write_advantages(
                 next_value = 0.0 if terminated[t, i] else final_values[t, i]
                 next_advantage = 0.0
             reward = rewards[t, i] if math.isfinite(rewards[t, i]) else 0.0
-            returns = reward + gamma * next_value
+            target = reward + gamma * next_value
             if present[t, i]:
-                advantages[t, i] = returns - values[t, i] + gamma * gae_lambda * next_advantage
+                advantages[t, i] = target - values[t, i] + gamma * gae_lambda * next_advantage
                 next_value, next_advantage = values[t, i], advantages[t, i]
             else:
                 advantages[t, i] = 0.0
-                next_value, next_advantage = returns, gamma * next_advantage
+                next_value, next_advantage = target, gamma * next_advantage
 
 
 write_advantages = compiled_with(_write_advantages, _nrt=False)

@@ -1,4 +1,4 @@
-"""Generalised advantage estimation (Schulman et al. 2015, arXiv:1506.02438), counterfactual advantages."""
+"""Generalised advantage estimation (Schulman et al. 2015, arXiv:1506.02438)."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -67,16 +67,3 @@ def with_teammates_values(
         values[..., members] = np.where(here, known, mean)
         present[..., members] = here | (count > 0)
     return values, present
-
-
-def counterfactual_advantages(
-    action_values: Array, actions: NDArray[np.int64], probabilities: Array, present: NDArray[np.bool_]
-) -> Array:
-    """Return A^a = Q(s, u) - sum_u' pi(u'|o^a) Q(s, (u^-a, u')), (T, C, N), 0 where absent.
-
-    Equation 4 of Foerster et al. 2018, arXiv:1705.08926. `action_values` (T, C, N, A) are Q of each own
-    action, `actions` (T, C, N) those taken, `probabilities` (T, C, N, A) the policy's.
-    """
-    taken = np.take_along_axis(action_values, actions[..., None], axis=-1)[..., 0]
-    baseline = (probabilities * action_values).sum(axis=-1)
-    return np.where(present, taken - baseline, 0)

@@ -1,7 +1,6 @@
 """Minibatch training with compiled kernels: multilayer perceptrons in float32 on a CPU.
 
-The losses of policies are in `on_policy.updates.compiled_losses`, the regression of critics is in
-`on_policy.critics.compiled_regression`.
+`on_policy.updates.compiled_steps` trains policies with it, `on_policy.critics.compiled_steps` critics.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -12,30 +11,26 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from headway_algos.batches.schedule import MinibatchSchedule
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.networks.network import Network
 from headway_algos.optim.adam import StackedAdam
+from headway_algos.optim.gradient_steps import Steps
 
 if TYPE_CHECKING:
     from headway_algos.kernels import Perceptrons
-
-RowIndices = Iterable[tuple[NDArray[np.int64], NDArray[np.int64]]]
-"""Results of `batches.minibatches.shuffled_epochs`."""
-Descent = Callable[[RowIndices], tuple[Tensor, Tensor]]
-"""Takes one step per minibatch; returns means over a network's steps: of the I reported numbers, (I, P), and
-of the gradient's norm, (P,); NaN for a network that took none."""
 
 ENABLED = True
 """False: gradients of minibatches and Fisher products by torch, so that tests and benchmarks can compare;
 Adam's steps and tanh remain compiled."""
 
 
-def perceptrons_of(network: Network, optimiser: StackedAdam) -> "Perceptrons | None":
+def kernel_networks(network: Network, optimiser: StackedAdam) -> "Perceptrons | None":
     """Return the arrays of networks and optimiser for kernels, or None if torch is to be used."""
-    return perceptrons_in(network, optimiser.values.whole, optimiser.gradient.whole, optimiser.starts)
+    return kernel_networks_at(network, optimiser.values.whole, optimiser.gradient.whole, optimiser.starts)
 
 
-def perceptrons_in(
+def kernel_networks_at(
     network: Network,
     values: Tensor,
     gradient: Tensor,
@@ -54,29 +49,29 @@ def perceptrons_in(
     return perceptrons(values.numpy(), gradient.numpy(), layers, network.activation == "relu")
 
 
-def descent(
+def compiled_steps(
     kernel: Callable[..., None],
     networks: "Perceptrons",
     optimiser: StackedAdam,
     data: Sequence[Any],
-    reports: int,
-) -> Descent:
-    """Return the steps that a kernel takes on `data`, with `reports` numbers per network."""
+    num_metrics: int,
+) -> Steps:
+    """Return the steps that a kernel takes on `data`, with `num_metrics` metrics per network."""
 
-    def descend(epochs: RowIndices) -> tuple[Tensor, Tensor]:
-        from headway_algos.kernels import Minibatches
+    def take_steps(schedule: MinibatchSchedule) -> tuple[Tensor, Tensor]:
+        from headway_algos.kernels import RowIndices
 
         stack = len(networks.values)
-        reported, norms = np.zeros((stack, reports), np.float32), np.zeros(stack, np.float32)
+        metrics, norms = np.zeros((stack, num_metrics), np.float32), np.zeros(stack, np.float32)
         steps = np.zeros(stack, np.float32)
-        for index, sizes in epochs:
-            kernel(networks, optimiser.kernel_state(), Minibatches(index, sizes), *data, reported, norms)
+        for index, sizes in schedule.row_indices():
+            kernel(networks, optimiser.kernel_state(), RowIndices(index, sizes), *data, metrics, norms)
             steps += (sizes > 0).sum(axis=0)
         # 0 / 0, where a network took no step, is NaN.
         count = torch.from_numpy(steps)
-        return torch.from_numpy(reported.T) / count, torch.from_numpy(norms) / count
+        return torch.from_numpy(metrics.T) / count, torch.from_numpy(norms) / count
 
-    return descend
+    return take_steps
 
 
 def as_array(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:

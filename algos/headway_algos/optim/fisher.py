@@ -20,7 +20,7 @@ from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import DiagonalGaussian
 from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.networks.mlp import StackedMLP
-from headway_algos.optim.fast_path import perceptrons_in
+from headway_algos.optim.fast_path import kernel_networks_at
 
 FisherProduct = Callable[[Tensor], Tensor]
 """v (P, V) -> F v (P, V)."""
@@ -52,7 +52,7 @@ def compiled_gauss_newton(actor: Actor, batch: WholeBatch) -> FisherProduct | No
     result = torch.zeros_like(values)
     ends = accumulate(parameter[0].numel() for parameter in parameters)
     starts = {id(p): end - p[0].numel() for p, end in zip(parameters, ends, strict=True)}
-    networks = perceptrons_in(actor.network, values, result, lambda some: [starts[id(p)] for p in some])
+    networks = kernel_networks_at(actor.network, values, result, lambda some: [starts[id(p)] for p in some])
     if networks is None:
         return None
     from headway_algos import kernels

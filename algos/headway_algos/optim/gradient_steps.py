@@ -1,4 +1,4 @@
-"""Steps of an optimiser over minibatches, for a stack of networks."""
+"""Steps of an optimiser over minibatches by autograd, for a stack of networks."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -8,11 +8,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway_algos.batches.epochs import Epochs
 from headway_algos.batches.minibatches import Piece
-from headway_algos.optim.fast_path import Descent
+from headway_algos.batches.schedule import MinibatchSchedule
 
-Learn = Callable[[Piece], Tensor]
+Steps = Callable[[MinibatchSchedule], tuple[Tensor, Tensor]]
+"""Takes one step per minibatch; returns means over each network's steps, NaN for a network that took none: of
+the I metrics, (I, P), and of the gradient norm, (P,)."""
+AddGradients = Callable[[Piece], Tensor]
 """Adds the gradients of a piece of a minibatch; returns its shares of the I metrics, (I, P)."""
 
 
@@ -28,31 +30,27 @@ class Optimiser(Protocol):
         ...
 
 
-def gradient_steps(
-    optimiser: Optimiser, epochs: Epochs, learn: Learn, reports: int, compiled: Descent | None = None
-) -> tuple[Tensor, Tensor]:
-    """Take one step per minibatch; return means over each network's steps, NaN for a network that took none.
+def autograd_steps(optimiser: Optimiser, add_gradients: AddGradients, num_metrics: int) -> Steps:
+    """Return the steps that an optimiser takes along the gradients that `add_gradients` adds."""
 
-    They are the means of the I = `reports` metrics, (I, P), and of the gradient norm, (P,). `compiled` takes
-    the steps in place of `learn` and `optimiser`, whose parameters and state it shares.
-    """
-    if compiled is not None:
-        return compiled(epochs.row_indices())
-    reported: Tensor | None = None
-    norms: Tensor | None = None
-    steps: NDArray[np.int64] | None = None
-    for pieces, active in epochs.pieces():
-        optimiser.begin()
-        for piece in pieces:
-            shares = learn(piece)
-            reported = shares if reported is None else reported + shares
-        norm = optimiser.step(active)
-        norms = norm if norms is None else norms + norm
-        steps = active.astype(np.int64) if steps is None else steps + active
-    assert norms is not None
-    assert steps is not None
-    if reported is None:  # no network has a row
-        reported = norms.new_zeros(reports, len(norms))
-    # 0 / 0, where a network took no step, is NaN.
-    count = torch.from_numpy(steps).to(norms)
-    return reported / count, norms / count
+    def take_steps(schedule: MinibatchSchedule) -> tuple[Tensor, Tensor]:
+        metrics: Tensor | None = None
+        norms: Tensor | None = None
+        steps: NDArray[np.int64] | None = None
+        for pieces, active in schedule.pieces():
+            optimiser.begin()
+            for piece in pieces:
+                shares = add_gradients(piece)
+                metrics = shares if metrics is None else metrics + shares
+            norm = optimiser.step(active)
+            norms = norm if norms is None else norms + norm
+            steps = active.astype(np.int64) if steps is None else steps + active
+        assert norms is not None
+        assert steps is not None
+        if metrics is None:  # no network has a row
+            metrics = norms.new_zeros(num_metrics, len(norms))
+        # 0 / 0, where a network took no step, is NaN.
+        count = torch.from_numpy(steps).to(norms)
+        return metrics / count, norms / count
+
+    return take_steps

@@ -11,6 +11,8 @@ from headway.contracts import Box, Contributor, Discrete, EnvSpec, Lazy, Learner
 from headway_algos.config import AlgoConfig
 from headway_algos.replay_config import ReplayConfig
 
+KERNELS = ("headway_algos.kernels",)
+"""Modules of compiled kernels. Every algorithm uses at least Adam's."""
 LEARNER = Lazy("headway_algos.on_policy.make_learner:make_learner")
 
 
@@ -40,10 +42,11 @@ class Recipe:
     rollout: Mapping[str, int] | None = None
     """Defaults of keys of `rollout`; None: those of the update."""
     learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner] = LEARNER
+    """This and the next two: see `headway.contracts.AlgoEntry`."""
     contributor: Callable[[Any, EnvSpec, Sequence[int]], Contributor] | None = None
-    """See `headway.contracts.AlgoEntry`."""
     preload: tuple[str, ...] = ()
 
+    # Mappings have no hash, and configuration classes are cached per recipe.
     def __hash__(self) -> int:
         return hash(self.name)
 
@@ -60,8 +63,8 @@ class ReplayRecipe:
     config: type[ReplayConfig]
     actions: type[Discrete] | type[Box]
     """Action space required, which also decides how the algorithm explores."""
-    method: Lazy
-    """Constructor of the update: a `headway_algos.off_policy.learner.MakeMethod`."""
+    make_method: Lazy
+    """A `headway_algos.off_policy.learner.MakeMethod`."""
 
 
 @cache

@@ -25,5 +25,5 @@ RECIPE = ReplayRecipe(
     source="Lillicrap et al. 2016, arXiv:1509.02971",
     config=DDPGConfig,
     actions=Box,
-    method=Lazy("headway_algos.off_policy.ddpg:DeterministicPolicyGradient"),
+    make_method=Lazy("headway_algos.off_policy.ddpg:DeterministicPolicyGradient"),
 )

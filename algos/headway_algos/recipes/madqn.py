@@ -25,5 +25,5 @@ RECIPE = ReplayRecipe(
     source="Mnih et al. 2015, doi 10.1038/nature14236; van Hasselt et al. 2016, arXiv:1509.06461",
     config=MADQNConfig,
     actions=Discrete,
-    method=Lazy("headway_algos.off_policy.dqn:QLearning"),
+    make_method=Lazy("headway_algos.off_policy.dqn:QLearning"),
 )

@@ -18,7 +18,7 @@ from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
-from headway_algos.kernels.losses import exp
+from headway_algos.kernels.minibatch_steps import exp
 from headway_algos.kernels.perceptron import tanh
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.network import make_network
@@ -263,7 +263,7 @@ def test_kernels_are_used_for_every_size_of_perceptron_in_float32(
 ) -> None:
     network = make_network(model, (0, 1), 1, "actor", (SIZE, ACTIONS), 1.0, dtype)
     optimiser = StackedAdam(network.parameters(), 1e-3, None)
-    assert (fast_path.perceptrons_of(network, optimiser) is not None) == compiled
+    assert (fast_path.kernel_networks(network, optimiser) is not None) == compiled
 
 
 def test_a_nan_parameter_is_kept_and_detected() -> None:

@@ -20,13 +20,12 @@ from headway_algos.on_policy.critics.critic_inputs import CounterfactualInputs
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
 from headway_algos.on_policy.critics.reward_streams import lambda_advantages
-from headway_algos.on_policy.gae import counterfactual_advantages
 
 
 class CounterfactualCritic:
     """Q(s, u^-a, o^a, id_a) with one output per own action, and a target network Q'.
 
-    Advantages are `headway_algos.on_policy.gae.counterfactual_advantages`. Returns are TD(lambda) targets
+    Advantages are `counterfactual_advantages`. Returns are TD(lambda) targets
     over the target network's Q' of the actions taken,
 
         y_t = r_t + gamma ((1 - lambda) Q'(s_t+1, u_t+1) + lambda y_t+1),
@@ -56,11 +55,11 @@ class CounterfactualCritic:
                 "use critic: local or central"
             )
         self.config, self.spec, self.seeds = config, spec, tuple(seeds)
-        self.view = CounterfactualInputs(config, spec, grouping)
-        self.layout = Layout(self.view.grouping, len(seeds), device, dtype)
-        self.networks = ReturnNetworks(config, self.view, spec.action_space.n, seeds, self.layout)
+        self.critic_inputs = CounterfactualInputs(config, spec, grouping)
+        self.layout = Layout(self.critic_inputs.grouping, len(seeds), device, dtype)
+        self.networks = ReturnNetworks(config, self.critic_inputs, spec.action_space.n, seeds, self.layout)
         self.target = deepcopy(self.networks).requires_grad_(False)
-        self.regression = ReturnRegression(config, self.view, seeds, self.networks, self.layout)
+        self.regression = ReturnRegression(config, self.critic_inputs, seeds, self.networks, self.layout)
         self.fits = 0
 
     def action_values(
@@ -74,7 +73,9 @@ class CounterfactualCritic:
 
     def _rows(self, batch: CriticBatch) -> tuple[Tensor, Tensor]:
         """Return features before normalisation (P, B, feature_size) and indicators (P, B, indicator_size)."""
-        return self.layout.rows(self.view.features(batch)), self.layout.rows(self.view.indicators(batch))
+        return self.layout.rows(self.critic_inputs.features(batch)), self.layout.rows(
+            self.critic_inputs.indicators(batch)
+        )
 
     def _by_agent(
         self, networks: ReturnNetworks, inputs: Tensor, batch: CriticBatch, hidden_states: HiddenStates | None
@@ -98,15 +99,15 @@ class CounterfactualCritic:
             return np.asarray((behaviour.probabilities(batch) * action_values).sum(axis=-1))
 
         target_inputs = self.target.inputs(*rows)
-        target_hidden_states = self.target.replay(target_inputs, trajectory, self.view, self.layout)
+        target_hidden_states = self.target.replay(target_inputs, trajectory, self.critic_inputs, self.layout)
         of_each = self._by_agent(self.target, target_inputs, batch, target_hidden_states)
         target_values = np.take_along_axis(of_each, taken, axis=-1)[..., 0]
         target_advantages, present = lambda_advantages(
-            trajectory, self.view, target_values, (probabilities * of_each).sum(axis=-1), value_of,
+            trajectory, self.critic_inputs, target_values, (probabilities * of_each).sum(axis=-1), value_of,
             self.config, self.spec, self.layout.replicas,
         )  # fmt: skip
         inputs = self.networks.inputs(*rows)
-        hidden_states = self.networks.replay(inputs, trajectory, self.view, self.layout)
+        hidden_states = self.networks.replay(inputs, trajectory, self.critic_inputs, self.layout)
         action_values = self._by_agent(self.networks, inputs, batch, hidden_states)
         return CriticEstimate(
             counterfactual_advantages(action_values, batch.actions, probabilities, present),
@@ -150,3 +151,19 @@ class CounterfactualCritic:
         self.target.load_state_dict(state["target"])
         self.target.load_carried(state.get("target_memory"))
         self.fits = state["fits"]
+
+
+def counterfactual_advantages(
+    action_values: NDArray[np.float64],
+    actions: NDArray[np.int64],
+    probabilities: NDArray[np.float64],
+    present: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Return A^a = Q(s, u) - sum_u' pi(u'|o^a) Q(s, (u^-a, u')), (T, C, N), 0 where absent.
+
+    Equation 4 of Foerster et al. 2018, arXiv:1705.08926. `action_values` (T, C, N, A) are Q of each own
+    action, `actions` (T, C, N) those taken, `probabilities` (T, C, N, A) the policy's.
+    """
+    taken = np.take_along_axis(action_values, actions[..., None], axis=-1)[..., 0]
+    baseline = (probabilities * action_values).sum(axis=-1)
+    return np.where(present, taken - baseline, 0)

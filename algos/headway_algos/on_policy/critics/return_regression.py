@@ -11,25 +11,24 @@ from torch import Tensor, nn
 
 from headway.contracts import Trajectory, generator
 from headway_algos.batches.critic_batch import CriticBatch
-from headway_algos.batches.epochs import Epochs
 from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.minibatches import Piece, even_slices
 from headway_algos.batches.policy_stack import mean_per_replica
+from headway_algos.batches.schedule import MinibatchSchedule
 from headway_algos.components import component
 from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.networks.network import make_network
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.networks.timeline import Timeline
-from headway_algos.on_policy.critics.compiled_regression import compiled_regression
+from headway_algos.on_policy.critics.compiled_steps import compiled_critic_steps
 from headway_algos.on_policy.critics.config import CriticConfig, KFACCriticConfig
 from headway_algos.on_policy.critics.critic_inputs import CriticInputs
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.reward_streams import presence, stream_begins
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.config import AdamConfig
-from headway_algos.optim.fast_path import Descent
-from headway_algos.optim.gradient_steps import gradient_steps
+from headway_algos.optim.gradient_steps import Steps, autograd_steps
 from headway_algos.optim.kfac_regression import KFACRegression
 
 RETURN_MEMORY, RETURN_BATCHES, RETURN_SHARE = 1000.0, 5.0, 0.1
@@ -45,16 +44,21 @@ class ReturnNetworks(nn.Module):
     """P value networks, with running statistics of their inputs and of returns."""
 
     def __init__(
-        self, config: CriticConfig, view: CriticInputs, outputs: int, seeds: Sequence[int], layout: Layout
+        self,
+        config: CriticConfig,
+        critic_inputs: CriticInputs,
+        outputs: int,
+        seeds: Sequence[int],
+        layout: Layout,
     ) -> None:
         super().__init__()
         self.config = config
-        networks, model = view.grouping.num_policies, config.model
-        sizes = (view.feature_size + view.indicator_size, outputs)
+        networks, model = critic_inputs.grouping.num_policies, config.model
+        sizes = (critic_inputs.feature_size + critic_inputs.indicator_size, outputs)
         self.network = make_network(model, seeds, networks, "critic", sizes, 1.0, layout.dtype)
         self.carried: NDArray[Any] | None = None
-        """(C, W, M): hidden states of recurrent networks after the last trajectory."""
-        self.input_moments = RunningStatistics(len(seeds) * networks, view.feature_size)
+        """(C, W, M), W viewpoints: hidden states of recurrent networks after the last trajectory."""
+        self.input_moments = RunningStatistics(len(seeds) * networks, critic_inputs.feature_size)
         self.return_moments = RunningStatistics(
             len(seeds) * networks, 1, RETURN_MEMORY, RETURN_BATCHES, RETURN_SHARE
         )
@@ -87,7 +91,7 @@ class ReturnNetworks(nn.Module):
         return outputs
 
     def replay(
-        self, inputs: Tensor, trajectory: Trajectory, view: CriticInputs, layout: Layout
+        self, inputs: Tensor, trajectory: Trajectory, critic_inputs: CriticInputs, layout: Layout
     ) -> HiddenStates | None:
         """Return the hidden states along a trajectory, continued from the last one; None if not recurrent.
 
@@ -95,11 +99,11 @@ class ReturnNetworks(nn.Module):
         """
         if not isinstance(self.network, RecurrentNetwork):
             return None
-        keeps = presence(trajectory.alive[:-1], view)
+        keeps = presence(trajectory.alive[:-1], critic_inputs)
         start = self.carried
         if start is None:
             start = np.zeros((*keeps.shape[1:], self.config.model.gru_size))
-        begins, samples = stream_begins(trajectory, view), self.config.piece_samples
+        begins, samples = stream_begins(trajectory, critic_inputs), self.config.piece_samples
         return HiddenStates.replay(self.network, inputs, start, begins, keeps, layout, samples)
 
     def carry(self, hidden_states: HiddenStates | None) -> None:
@@ -122,19 +126,19 @@ class ReturnRegression:
     def __init__(
         self,
         config: CriticConfig,
-        view: CriticInputs,
+        critic_inputs: CriticInputs,
         seeds: Sequence[int],
         networks: ReturnNetworks,
         layout: Layout,
     ) -> None:
-        self.config, self.view, self.seeds = config, view, tuple(seeds)
+        self.config, self.critic_inputs, self.seeds = config, critic_inputs, tuple(seeds)
         self.networks, self.layout = networks, layout
         self.optimiser: StackedAdam | KFACRegression = component("critic_update", config.critic_update).make(
             config, networks.network, config.critic_lr or config.lr
         )
 
     def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
-        """Train on the returns where present; return metrics (R,).
+        """Train on the returns of the rows where `estimate.present`; return metrics (R,).
 
         `loss` is the mean squared error in normalised units, cut off at `value_clip` like RLlib's
         vf_clip_param; `explained_variance` is that of the values before training.
@@ -151,25 +155,26 @@ class ReturnRegression:
         targets = targets.to(layout.dtype)
         hidden_states, length = estimate.hidden_states, config.model.sequence_length
         sequences = None if hidden_states is None else hidden_states.sequences(layout, length)
-        epochs = Epochs(
+        schedule = MinibatchSchedule(
             selected, sequences, self._generators(iteration), config.epochs, config.minibatches,
             config.piece_samples, layout,
         )  # fmt: skip
-        learn = partial(self._learn, estimate=estimate, targets=targets)
-        compiled: Descent | None = None
+        add_gradients = partial(self._add_gradients, estimate=estimate, targets=targets)
+        compiled: Steps | None = None
         if isinstance(self.optimiser, StackedAdam):
             network, optimiser = self.networks.network, self.optimiser
-            compiled = compiled_regression(
+            compiled = compiled_critic_steps(
                 network, optimiser, estimate.inputs, estimate.taken, targets, config.value_clip
             )
-        (loss,), _ = gradient_steps(self.optimiser, epochs, learn, 1, compiled)
+        take_steps = compiled or autograd_steps(self.optimiser, add_gradients, 1)
+        (loss,), _ = take_steps(schedule)
         self.networks.carry(hidden_states)
         return {
             "loss": mean_per_replica(loss, layout.replicas),
             "explained_variance": explained_variance(estimate, layout.replicas),
         }
 
-    def _learn(self, piece: Piece, estimate: CriticEstimate, targets: Tensor) -> Tensor:
+    def _add_gradients(self, piece: Piece, estimate: CriticEstimate, targets: Tensor) -> Tensor:
         """Add a piece's gradients by autograd; return its share of the loss, (1, P)."""
         inputs, targets = piece.of(estimate.inputs), piece.of(targets)
         taken = None if estimate.taken is None else piece.of(estimate.taken)
@@ -191,8 +196,8 @@ class ReturnRegression:
     def update_normalisers(self, trajectory: Trajectory) -> None:
         """Include an iteration's inputs in the running statistics."""
         if self.config.normalise_observations:
-            features = self.layout.rows(self.view.features(CriticBatch.of_steps(trajectory)))
-            selected = self.layout.selection(presence(trajectory.alive[:-1], self.view))
+            features = self.layout.rows(self.critic_inputs.features(CriticBatch.of_steps(trajectory)))
+            selected = self.layout.selection(presence(trajectory.alive[:-1], self.critic_inputs))
             self.networks.input_moments.include(features, selected)
 
     def anneal(self, share: float) -> None:

@@ -13,23 +13,23 @@ from headway_algos.on_policy.critics.critic_inputs import CriticInputs
 from headway_algos.on_policy.gae import generalised_advantages, last_known_values, with_teammates_values
 
 
-def presence(alive: NDArray[np.bool_], view: CriticInputs) -> NDArray[np.bool_]:
+def presence(alive: NDArray[np.bool_], critic_inputs: CriticInputs) -> NDArray[np.bool_]:
     """Return where a value exists, (M, C, W), given the alive mask (M, C, N)."""
-    return np.ones((*alive.shape[:2], 1), np.bool_) if view.single else alive
+    return np.ones((*alive.shape[:2], 1), np.bool_) if critic_inputs.single else alive
 
 
-def stream_begins(trajectory: Trajectory, view: CriticInputs) -> NDArray[np.bool_]:
+def stream_begins(trajectory: Trajectory, critic_inputs: CriticInputs) -> NDArray[np.bool_]:
     """Return (T + 1, C, W): an agent's stream, or a team's episode, begins with the step.
 
     The last row is the time right after the last step.
     """
     begins = np.concatenate([trajectory.begins, trajectory.terminated | trajectory.truncated])
-    return np.array(begins.all(axis=2, keepdims=True)) if view.single else begins
+    return np.array(begins.all(axis=2, keepdims=True)) if critic_inputs.single else begins
 
 
 def lambda_advantages(
     trajectory: Trajectory,
-    view: CriticInputs,
+    critic_inputs: CriticInputs,
     values: NDArray[np.float64],
     observed_values: NDArray[np.float64],
     value_of: Callable[[CriticBatch], NDArray[np.float64]],
@@ -50,9 +50,9 @@ def lambda_advantages(
     used = values.shape[2]
     rewards = trajectory.rewards[:, :, :used].astype(np.float64)
     terminated, truncated = (ends[:, :, :used] for ends in return_ends(trajectory, spec))
-    present = presence(trajectory.alive, view)
+    present = presence(trajectory.alive, critic_inputs)
     # Trailing slots that were never alive may have been left out of the trajectory.
-    teams = () if view.single else spec.teams[:used]
+    teams = () if critic_inputs.single else spec.teams[:used]
     values = np.concatenate([values, value_of(CriticBatch.after_last_step(trajectory))])
     truncations = Truncations.of(trajectory, replicas)
     final_values = np.zeros(rewards.shape)

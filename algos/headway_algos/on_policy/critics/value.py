@@ -42,16 +42,16 @@ class ValueCritic:
         dtype: torch.dtype,
     ) -> None:
         self.config, self.spec, self.seeds = config, spec, tuple(seeds)
-        self.view = self.inputs(config, spec, grouping)
-        self.layout = Layout(self.view.grouping, len(seeds), device, dtype)
-        self.networks = ReturnNetworks(config, self.view, 1, seeds, self.layout)
-        self.regression = ReturnRegression(config, self.view, seeds, self.networks, self.layout)
+        self.critic_inputs = self.inputs(config, spec, grouping)
+        self.layout = Layout(self.critic_inputs.grouping, len(seeds), device, dtype)
+        self.networks = ReturnNetworks(config, self.critic_inputs, 1, seeds, self.layout)
+        self.regression = ReturnRegression(config, self.critic_inputs, seeds, self.networks, self.layout)
 
     def rows(self, batch: CriticBatch) -> Tensor:
         """Return network inputs (P, B, input_size)."""
-        indicators = self.view.indicators(batch)
+        indicators = self.critic_inputs.indicators(batch)
         indicator_rows = None if indicators is None else self.layout.rows(indicators)
-        return self.networks.inputs(self.layout.rows(self.view.features(batch)), indicator_rows)
+        return self.networks.inputs(self.layout.rows(self.critic_inputs.features(batch)), indicator_rows)
 
     def values(
         self, rows: Tensor, points: int, hidden: Tensor | None = None, viewpoints: int | None = None
@@ -70,20 +70,27 @@ class ValueCritic:
     def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
         """Estimate values and generalised advantages."""
         random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
-        used = presence(trajectory.alive, self.view).shape[2]
-        viewpoints = used if used < self.view.viewpoints else None
+        used = presence(trajectory.alive, self.critic_inputs).shape[2]
+        viewpoints = used if used < self.critic_inputs.viewpoints else None
 
         def value_of(batch: CriticBatch) -> NDArray[np.float64]:
-            full = behaviour.with_drawn_actions(batch, random) if self.view.needs_actions else batch
+            full = behaviour.with_drawn_actions(batch, random) if self.critic_inputs.needs_actions else batch
             points = len(full.observations)
             return self.values(self.rows(full), points, self._hidden(full, hidden_states), viewpoints)
 
         batch = CriticBatch.of_steps(trajectory)
         inputs = self.rows(batch)
-        hidden_states = self.networks.replay(inputs, trajectory, self.view, self.layout)
+        hidden_states = self.networks.replay(inputs, trajectory, self.critic_inputs, self.layout)
         values = self.values(inputs, len(trajectory.rewards), self._hidden(batch, hidden_states), viewpoints)
         advantages, present = lambda_advantages(
-            trajectory, self.view, values, values, value_of, self.config, self.spec, self.layout.replicas
+            trajectory,
+            self.critic_inputs,
+            values,
+            values,
+            value_of,
+            self.config,
+            self.spec,
+            self.layout.replicas,
         )
         return CriticEstimate(
             advantages, values, advantages + values, present, inputs, hidden_states=hidden_states

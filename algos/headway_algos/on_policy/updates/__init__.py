@@ -28,10 +28,11 @@ class Update(Protocol):
     def improve(
         self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
-        """Update the policies, given advantages (P, B) used unchanged; return metrics, each (P,).
+        """Update the policies; return metrics, each (P,), NaN for policies without a selected row.
 
-        `generators` (P,) are for shuffling and sampling. Recurrent policies need `rows.sequences`. Policies
-        without a selected row, and their state, stay unchanged.
+        `advantages` (P, B) are standardised by the caller, if at all. `generators` (P,) are for shuffling and
+        sampling. Recurrent policies need `rows.sequences`. Policies without a selected row, and their state,
+        stay unchanged.
         """
         ...
 

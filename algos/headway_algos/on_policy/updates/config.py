@@ -48,6 +48,11 @@ class MinibatchConfig(GradientUpdateConfig):
     minibatches: int = 8
     """Minibatches per pass, of actor and critic; 1: the whole batch."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.epochs >= 1, "epochs must be at least 1")
+        require(self.minibatches >= 1, "minibatches must be at least 1")
+
 
 @dataclass(frozen=True)
 class PPOConfig(MinibatchConfig):

@@ -8,17 +8,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from headway_algos.batches.epochs import Epochs
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.minibatches import Piece
 from headway_algos.batches.policy_batch import PolicyBatch
+from headway_algos.batches.schedule import MinibatchSchedule
 from headway_algos.networks.actor import Actor
-from headway_algos.on_policy.updates.compiled_losses import compiled_loss
+from headway_algos.on_policy.updates.compiled_steps import compiled_policy_steps
 from headway_algos.on_policy.updates.config import GradientUpdateConfig, PPOConfig
 from headway_algos.on_policy.updates.kl_penalty import KLPenalty, OldPolicies
-from headway_algos.on_policy.updates.losses import A2CLoss, Minibatch, PolicyLoss, PPOLoss, checked_loss
+from headway_algos.on_policy.updates.losses import A2CLoss, LossRows, PolicyLoss, PPOLoss, checked_loss
 from headway_algos.optim.adam import StackedAdam
-from headway_algos.optim.gradient_steps import gradient_steps
+from headway_algos.optim.gradient_steps import autograd_steps
 
 
 class GradientUpdate:
@@ -42,30 +42,33 @@ class GradientUpdate:
         self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
         """Update the policies, given advantages (P, B); return metrics, each (P,)."""
-        old = None if self.penalty is None else self.penalty.before(self.actor, rows)
+        old = None if self.penalty is None else self.penalty.old_policies(self.actor, rows)
 
-        def learn(piece: Piece) -> Tensor:
-            return self._learn(piece, rows, advantages, old)
+        def add_gradients(piece: Piece) -> Tensor:
+            return self._add_gradients(piece, rows, advantages, old)
 
-        epochs = Epochs(
+        schedule = MinibatchSchedule(
             rows.selected, rows.sequences, generators, self.epochs, self.minibatches,
             self.config.piece_samples, self.layout,
         )  # fmt: skip
-        compiled = compiled_loss(self.loss, self.actor, self.optimiser, rows, advantages, self.penalty, old)
-        reported, norm = gradient_steps(self.optimiser, epochs, learn, len(self.loss.reports), compiled)
+        compiled = compiled_policy_steps(self.loss, self.actor, self.optimiser, rows, advantages, old)
+        take_steps = compiled or autograd_steps(self.optimiser, add_gradients, len(self.loss.reports))
+        reported, norm = take_steps(schedule)
         info = dict(zip(self.loss.reports, reported, strict=True)) | {"gradient_norm": norm}
         if self.penalty is not None and old is not None:
             info |= self.penalty.adapt(self.actor, rows, old)
         return info
 
-    def _learn(self, piece: Piece, rows: PolicyBatch, advantages: Tensor, old: OldPolicies | None) -> Tensor:
+    def _add_gradients(
+        self, piece: Piece, rows: PolicyBatch, advantages: Tensor, old: OldPolicies | None
+    ) -> Tensor:
         """Add a piece's gradients by autograd; return its shares of the reported numbers, (I, P)."""
         masks = None if rows.masks is None else piece.of(rows.masks)
         new = self.actor(piece.of(rows.observations), masks, piece.timeline)
-        batch = Minibatch(piece.of(rows.actions), piece.of(rows.log_probs), piece.of(advantages))
+        batch = LossRows(piece.of(rows.actions), piece.of(rows.log_probs), piece.of(advantages))
         loss, reported = checked_loss(self.loss, new, batch)
-        if self.penalty is not None and old is not None:
-            loss = loss + self.penalty.of(new, old, self.actor, piece, masks)
+        if old is not None:
+            loss = loss + old.penalty(new, self.actor, piece, masks)
         torch.autograd.backward((loss * piece.weight).sum())
         return (reported * piece.weight).sum(2)
 

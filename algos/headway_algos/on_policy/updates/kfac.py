@@ -14,7 +14,7 @@ from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import Distribution
 from headway_algos.networks.linearised import LinearisedMLP
-from headway_algos.on_policy.updates.losses import A2CLoss, Minibatch
+from headway_algos.on_policy.updates.losses import A2CLoss, LossRows
 from headway_algos.on_policy.updates.natural_config import KFACConfig
 from headway_algos.optim.kfac import StackedKFAC
 
@@ -39,21 +39,22 @@ class KFAC:
     ) -> dict[str, Tensor]:
         """Take one step; `generators` sample the actions of the Fisher information.
 
-        Metrics: `kl` is the mean KL divergence of the step, `predicted_kl` its prediction, damping included,
-        and `step` is eta.
+        Metrics are NaN for policies without rows. `kl` is the mean KL divergence of the step, `predicted_kl`
+        its prediction, damping included, and `step` is eta.
         """
         batch = WholeBatch.of(rows, advantages)
-        gradient, entropy, before = self._look(batch, _noise(batch, generators))
+        gradient, entropy, before = self._gradient_and_fisher(batch, _noise(batch, generators))
         step = self.optimiser.step(gradient, batch.has_rows.cpu().numpy())
-        return {
+        metrics = {
             "entropy": entropy,
             "gradient_norm": torch.stack([part.square().sum((1, 2)) for part in gradient]).sum(0).sqrt(),
             "kl": self._mean_kl(before, entropy),
             "predicted_kl": step.predicted_kl,
             "step": step.size,
         }
+        return {name: batch.where_rows(values) for name, values in metrics.items()}
 
-    def _look(self, batch: WholeBatch, noise: Tensor) -> tuple[list[Tensor], Tensor, Before]:
+    def _gradient_and_fisher(self, batch: WholeBatch, noise: Tensor) -> tuple[list[Tensor], Tensor, Before]:
         """Pass the Fisher information to the optimiser; return gradient, entropy and distributions.
 
         They are the objective's gradient, in the order of the actor's learnable tensors, the mean entropy
@@ -83,7 +84,7 @@ class KFAC:
         outputs = outputs.requires_grad_()
         loss, _ = self.loss(
             self.actor.distribution(outputs, piece.masks),
-            Minibatch(piece.actions, piece.log_probs, piece.advantages),
+            LossRows(piece.actions, piece.log_probs, piece.advantages),
         )
         inputs = [outputs] if self.actor.log_std is None else [outputs, self.actor.log_std]
         derivatives = torch.autograd.grad(-(loss * piece.weight).sum(), inputs)

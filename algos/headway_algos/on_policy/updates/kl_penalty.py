@@ -18,12 +18,19 @@ from headway_algos.networks.distributions import Distribution
 
 
 class OldPolicies(NamedTuple):
-    """Outputs of the policies that acted."""
+    """The policies that acted, and how strongly the penalty ties the new ones to them."""
 
     outputs: Tensor
     """(P, B, A) network outputs."""
     log_std: Tensor | None
     """(P, A, 1) of Gaussian policies."""
+    coefficients: Tensor
+    """(P,)"""
+
+    def penalty(self, new: Distribution, actor: Actor, piece: Piece, masks: Tensor | None) -> Tensor:
+        """Return coefficient x KL(pi_old || pi) of a piece's rows, (P, rows)."""
+        old = actor.distribution(piece.of(self.outputs).transpose(1, 2), masks, self.log_std)
+        return self.coefficients[:, None] * new.kl_from(old)
 
 
 @dataclass
@@ -36,26 +43,20 @@ class KLPenalty:
     """Mean KL divergence per update that the adaptation aims at."""
     piece_samples: int
 
-    def before(self, actor: Actor, rows: PolicyBatch) -> OldPolicies:
-        """Return the outputs of the current policies, before their update."""
+    def old_policies(self, actor: Actor, rows: PolicyBatch) -> OldPolicies:
+        """Return the current policies, before their update."""
         log_std = None if actor.log_std is None else actor.log_std.detach().clone()
-        return OldPolicies(self._outputs(actor, rows), log_std)
-
-    def of(
-        self, new: Distribution, old: OldPolicies, actor: Actor, piece: Piece, masks: Tensor | None
-    ) -> Tensor:
-        """Return the penalty of a piece's rows, (P, rows)."""
-        before = actor.distribution(piece.of(old.outputs).transpose(1, 2), masks, old.log_std)
-        return self.coefficients[:, None] * new.kl_from(before)
+        return OldPolicies(self._outputs(actor, rows), log_std, self.coefficients)
 
     def adapt(self, actor: Actor, rows: PolicyBatch, old: OldPolicies) -> dict[str, Tensor]:
-        """Adapt the coefficients of policies with rows; return the mean divergence and coefficients, (P,)."""
+        """Adapt the coefficients of policies with rows.
+
+        Returns the mean KL divergence after the update, NaN without rows, and the coefficients used in it,
+        (P,) each.
+        """
         kl = self._mean_kl(actor, rows, old)
-        has_rows = torch.from_numpy(rows.selected.any(axis=1)).to(kl.device)
-        metrics = {"kl": kl, "kl_coeff": self.coefficients}
-        adapted = adapted_coefficients(self.coefficients, kl, self.target)
-        self.coefficients = torch.where(has_rows, adapted, self.coefficients)
-        return metrics
+        self.coefficients = adapted_coefficients(old.coefficients, kl, self.target)
+        return {"kl": kl, "kl_coeff": old.coefficients}
 
     def narrow(self, policies: Tensor) -> Self:
         """Return the penalty of `policies` (n,)."""
@@ -77,7 +78,7 @@ class KLPenalty:
             return outputs.transpose(1, 2).contiguous()
 
     def _mean_kl(self, actor: Actor, rows: PolicyBatch, old: OldPolicies) -> Tensor:
-        """Return the mean KL(old || new) of each policy over its selected rows, (P,)."""
+        """Return the mean KL(old || new) of each policy over its selected rows, (P,); NaN without rows."""
         selected = torch.from_numpy(rows.selected).to(old.outputs.device)
         total = torch.zeros_like(self.coefficients)
         new_outputs = self._outputs(actor, rows).transpose(1, 2)
@@ -87,13 +88,13 @@ class KLPenalty:
                 new = actor.distribution(new_outputs[:, :, part], masks)
                 before = actor.distribution(old.outputs[:, part].transpose(1, 2), masks, old.log_std)
                 total += torch.where(selected[:, part], new.kl_from(before), 0).sum(1)
-        return total / selected.sum(1).clamp(min=1)
+        return total / selected.sum(1)  # 0 / 0 is NaN
 
 
 def adapted_coefficients(coefficients: Tensor, kl: Tensor, target: float) -> Tensor:
     """Return the coefficients (P,) for the next update, given the mean KL divergence (P,) of this one.
 
-    Times 1.5 above 2 `target`, times 0.5 below `target` / 2.
+    Times 1.5 above 2 `target`, times 0.5 below `target` / 2, unchanged where it is NaN.
     """
     coefficients = torch.where(kl > 2 * target, coefficients * 1.5, coefficients)
     return torch.where(kl < target / 2, coefficients * 0.5, coefficients)

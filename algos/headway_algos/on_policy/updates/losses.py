@@ -11,7 +11,7 @@ from headway_algos.networks.distributions import Distribution
 
 
 @dataclass(frozen=True)
-class Minibatch:
+class LossRows:
     """Rows that a policy loss needs, B for each of P policies."""
 
     actions: Tensor
@@ -33,7 +33,7 @@ class PolicyLoss(Protocol):
         """Names of the metrics that the loss returns."""
         ...
 
-    def __call__(self, new: Distribution, batch: Minibatch) -> tuple[Tensor, dict[str, Tensor]]:
+    def __call__(self, new: Distribution, batch: LossRows) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss of each row and the metrics by name, (P, B) each.
 
         `new` are the current action distributions at these rows. Callers take means over each policy's rows.
@@ -41,7 +41,7 @@ class PolicyLoss(Protocol):
         ...
 
 
-def checked_loss(loss: PolicyLoss, new: Distribution, batch: Minibatch) -> tuple[Tensor, Tensor]:
+def checked_loss(loss: PolicyLoss, new: Distribution, batch: LossRows) -> tuple[Tensor, Tensor]:
     """Return a loss per row (P, B) and the I metrics that it reports (I, P, B).
 
     Raises HeadwayError if the loss returns anything else: a mean, for instance, would mix policies and count
@@ -70,7 +70,7 @@ class PPOLoss:
     """Proximal policy optimisation: the clipped surrogate with an entropy bonus.
 
     With r = pi(u|o) / pi_old(u|o): -min(r A, clip(r, 1 - clip, 1 + clip) A) - entropy_coeff H(pi(.|o))
-    (Schulman et al. 2017, arXiv:1707.06347). `compiled_losses` selects kernels with the same gradients on a
+    (Schulman et al. 2017, arXiv:1707.06347). `compiled_steps` selects kernels with the same gradients on a
     CPU: change both.
     """
 
@@ -79,7 +79,7 @@ class PPOLoss:
 
     reports: ClassVar[tuple[str, ...]] = ("kl", "entropy", "clip_fraction")
 
-    def __call__(self, new: Distribution, batch: Minibatch) -> tuple[Tensor, dict[str, Tensor]]:
+    def __call__(self, new: Distribution, batch: LossRows) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss, and as metrics a KL estimate, the entropy and whether the ratio is clipped."""
         log_ratio = new.log_prob(batch.actions) - batch.log_probs
         ratio = log_ratio.exp()
@@ -99,7 +99,7 @@ class PPOLoss:
 class A2CLoss:
     """Advantage actor-critic: the policy gradient with an entropy bonus, -log pi(u|o) A - entropy_coeff H.
 
-    Source: Mnih et al. 2016, arXiv:1602.01783, section 4. `compiled_losses` selects kernels with the same
+    Source: Mnih et al. 2016, arXiv:1602.01783, section 4. `compiled_steps` selects kernels with the same
     gradients on a CPU: change both.
     """
 
@@ -107,7 +107,7 @@ class A2CLoss:
 
     reports: ClassVar[tuple[str, ...]] = ("entropy",)
 
-    def __call__(self, new: Distribution, batch: Minibatch) -> tuple[Tensor, dict[str, Tensor]]:
+    def __call__(self, new: Distribution, batch: LossRows) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss and the entropy."""
         entropy = new.entropy()
         loss = -new.log_prob(batch.actions) * batch.advantages - self.entropy_coeff * entropy
@@ -125,7 +125,7 @@ class SurrogateLoss:
 
     reports: ClassVar[tuple[str, ...]] = ("entropy",)
 
-    def __call__(self, new: Distribution, batch: Minibatch) -> tuple[Tensor, dict[str, Tensor]]:
+    def __call__(self, new: Distribution, batch: LossRows) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss and the entropy."""
         ratio = (new.log_prob(batch.actions) - batch.log_probs).exp()
         entropy = new.entropy()

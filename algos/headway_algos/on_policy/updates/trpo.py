@@ -12,7 +12,7 @@ from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.networks.actor import Actor
-from headway_algos.on_policy.updates.losses import Minibatch, SurrogateLoss
+from headway_algos.on_policy.updates.losses import LossRows, SurrogateLoss
 from headway_algos.on_policy.updates.natural_config import TRPOConfig
 from headway_algos.optim.conjugate_gradient import conjugate_gradient
 from headway_algos.optim.fisher import fisher_product, from_vector, to_vector
@@ -35,7 +35,11 @@ class TRPO:
     def improve(
         self, rows: PolicyBatch, advantages: Tensor, generators: Sequence[np.random.Generator]
     ) -> dict[str, Tensor]:
-        """Take one step; `generators` are not used."""
+        """Take one step; `generators` are not used.
+
+        Metrics are NaN for policies without rows. `kl` is the mean KL divergence of the step, and
+        `accepted_step` the share of the full step that was taken, 0 if none was accepted.
+        """
         actor, config = self.actor, self.config
         batch = WholeBatch.of(rows, advantages)
         gradient, surrogate, entropy, batch = self._gradient(batch)
@@ -51,7 +55,8 @@ class TRPO:
         step = torch.where(curvature > 0, (2 * bound / curvature).sqrt() * solution, 0)
         info = self._search(batch, surrogate, step, (step * gradient).sum(1), bound)
         norm = gradient.square().sum(1).sqrt()
-        return {"entropy": entropy, "gradient_norm": norm, **info}
+        metrics = {"entropy": entropy, "gradient_norm": norm, **info}
+        return {name: batch.where_rows(values) for name, values in metrics.items()}
 
     def _gradient(self, batch: WholeBatch) -> tuple[Tensor, Tensor, Tensor, WholeBatch]:
         """Return the surrogate's gradient (P, V) and value (P,), entropy (P,), and the batch with outputs."""
@@ -70,7 +75,7 @@ class TRPO:
 
     def _surrogate(self, actor: Actor, outputs: Tensor, piece: WholeBatch) -> tuple[Tensor, Tensor]:
         """Return a piece's share of the surrogate and of the mean entropy, (P,) each."""
-        batch = Minibatch(piece.actions, piece.log_probs, piece.advantages)
+        batch = LossRows(piece.actions, piece.log_probs, piece.advantages)
         loss, info = self.loss(actor.distribution(outputs, piece.masks), batch)
         return -(loss * piece.weight).sum(1), (info["entropy"] * piece.weight).sum(1)
 
@@ -82,29 +87,26 @@ class TRPO:
         expected: Tensor,
         bound: float,
     ) -> dict[str, Tensor]:
-        """Halve each policy's step (P, V) until it is accepted, then apply it; return metrics (P,).
-
-        The metric `accepted_step` is the share of the full step that was taken, 0 if none was accepted.
-        """
+        """Halve each policy's step (P, V) until it is accepted, then apply it; return metrics (P,)."""
         kl, accepted = torch.zeros_like(surrogate), torch.zeros_like(surrogate)
-        going = torch.nonzero(expected > 0)[:, 0]
+        searching = torch.nonzero(expected > 0)[:, 0]
         for halving in range(self.config.line_search_steps + 1):
-            if len(going) == 0:
+            if len(searching) == 0:
                 break
             size = 0.5**halving
-            after = self.actor.narrow(going)
-            log_std = None if self.actor.log_std is None else self.actor.log_std.detach()[going]
+            after = self.actor.narrow(searching)
+            log_std = None if self.actor.log_std is None else self.actor.log_std.detach()[searching]
             with torch.no_grad():
-                changes = from_vector(size * step[going], after.learnable)
+                changes = from_vector(size * step[searching], after.learnable)
                 for tensor, change in zip(after.learnable, changes, strict=True):
                     tensor.add_(change)
-                rows = batch if len(going) == len(step) else batch.narrow(going)
-                reached, moved = self._compare(after, log_std, rows)
-            enough = reached - surrogate[going] >= self.config.accept_ratio * size * expected[going]
-            accepts = enough & (moved <= bound)
-            self.actor.adopt(going[accepts], after.narrow(accepts))
-            kl[going[accepts]], accepted[going[accepts]] = moved[accepts], size
-            going = going[~accepts]
+                rows = batch if len(searching) == len(step) else batch.narrow(searching)
+                new_surrogate, new_kl = self._compare(after, log_std, rows)
+            least_gain = self.config.accept_ratio * size * expected[searching]
+            accepts = (new_surrogate - surrogate[searching] >= least_gain) & (new_kl <= bound)
+            self.actor.adopt(searching[accepts], after.narrow(accepts))
+            kl[searching[accepts]], accepted[searching[accepts]] = new_kl[accepts], size
+            searching = searching[~accepts]
         return {"kl": kl, "accepted_step": accepted}
 
     def _compare(self, after: Actor, log_std: Tensor | None, batch: WholeBatch) -> tuple[Tensor, Tensor]:

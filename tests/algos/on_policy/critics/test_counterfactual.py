@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.config import AlgoConfig, ModelConfig
-from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
+from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic, counterfactual_advantages
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.return_regression import ReturnNetworks
 from headway_algos.on_policy.critics.value import ValueCritic
-from headway_algos.on_policy.gae import counterfactual_advantages
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.registry import configure
 

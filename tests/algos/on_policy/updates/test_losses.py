@@ -9,11 +9,11 @@ from torch import Tensor
 
 from headway.contracts import HeadwayError
 from headway_algos.networks.distributions import Distribution, MaskedCategorical
-from headway_algos.on_policy.updates.losses import Minibatch, checked_loss
+from headway_algos.on_policy.updates.losses import LossRows, checked_loss
 
 P, B = 2, 5
 NEW = MaskedCategorical.of_logits(torch.zeros(P, 3, B, requires_grad=True), None)
-BATCH = Minibatch(torch.zeros(P, B, dtype=torch.int64), torch.zeros(P, B), torch.ones(P, B))
+BATCH = LossRows(torch.zeros(P, B, dtype=torch.int64), torch.zeros(P, B), torch.ones(P, B))
 
 
 class _Loss:
@@ -22,7 +22,7 @@ class _Loss:
     def __init__(self, returned: Callable[[Tensor], object]) -> None:
         self.returned = returned
 
-    def __call__(self, new: Distribution, batch: Minibatch) -> tuple[Tensor, dict[str, Tensor]]:
+    def __call__(self, new: Distribution, batch: LossRows) -> tuple[Tensor, dict[str, Tensor]]:
         return cast("tuple[Tensor, dict[str, Tensor]]", self.returned(new.log_prob(batch.actions)))
 
 

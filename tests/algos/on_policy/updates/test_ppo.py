@@ -18,7 +18,7 @@ from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import MaskedCategorical
 from headway_algos.on_policy.updates.gradient_update import ppo_update
-from headway_algos.on_policy.updates.losses import Minibatch, PPOLoss
+from headway_algos.on_policy.updates.losses import LossRows, PPOLoss
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.registry import configure
 
@@ -44,7 +44,7 @@ def test_a_rows_loss_stops_changing_where_the_clip_binds() -> None:
         actions = torch.zeros(1, 1, dtype=torch.int64)
         old = new.log_prob(actions).detach() - log(ratio)
         loss, info = PPOLoss(clip=0.2, entropy_coeff=0.0)(
-            new, Minibatch(actions, old, torch.tensor([[advantage]], dtype=DOUBLE))
+            new, LossRows(actions, old, torch.tensor([[advantage]], dtype=DOUBLE))
         )
         (slope,) = torch.autograd.grad(loss.sum(), logits)
         # d log pi(0) / d logit 0 = 1 - 1 / A at equal logits
@@ -131,13 +131,14 @@ def test_a_policy_without_rows_stays_unchanged_and_affects_no_other() -> None:
         torch.testing.assert_close(new[[0, 2]], whole[[0, 2]], rtol=1e-12, atol=1e-12)
 
 
-def test_a_policy_without_rows_keeps_its_kl_coefficient() -> None:
-    """Without rows a KL divergence of 0 has no effect; with rows it halves the coefficient."""
+def test_a_policy_without_rows_has_no_kl_and_keeps_its_coefficient() -> None:
+    """With rows the divergence, far below the target, halves the coefficient."""
     selected = np.ones((P, B), np.bool_)
     selected[1] = False
     config = replace(CONFIG, kl_coeff=0.2, kl_target=1e3)
-    _, _, _, adapted, _ = _run(config, torch.full((P,), 0.2, dtype=DOUBLE), selected)
+    _, _, _, adapted, info = _run(config, torch.full((P,), 0.2, dtype=DOUBLE), selected)
     assert adapted.tolist() == pytest.approx([0.1, 0.2, 0.1], rel=1e-12)
+    assert torch.isnan(info["kl"]).tolist() == [False, True, False]
 
 
 def test_an_update_without_any_rows_changes_nothing() -> None:

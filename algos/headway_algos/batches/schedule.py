@@ -13,7 +13,7 @@ from headway_algos.batches.sequences import Sequences
 
 
 @dataclass(frozen=True)
-class Epochs:
+class MinibatchSchedule:
     """Passes over the selected rows of P networks, each in shuffled minibatches.
 
     Recurrent networks learn from whole sequences that contain selected rows. A network with fewer rows (or
@@ -21,7 +21,7 @@ class Epochs:
     """
 
     selected: NDArray[np.bool_]
-    """(P, B)"""
+    """(P, B): rows to train on."""
     sequences: Sequences | None
     """None: not recurrent."""
     generators: Sequence[np.random.Generator]

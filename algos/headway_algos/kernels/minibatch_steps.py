@@ -50,11 +50,11 @@ def _exp_by_parts(row: Floats, bits: NDArray[np.int32], powers: Floats, n: int) 
         row[t] = ZERO if bits[t] == 0 else row[t] * powers[t]
 
 
-# Sums keep their order here: with another, what is left after log(2) k would lose its digits.
+# Not "reassoc": merging the two subtractions of k log(2) would lose the last digits of the remainder.
 exp = compiled_with(_exp_by_parts, _nrt=False, fastmath={"contract"})
 
 
-class Minibatches(NamedTuple):
+class RowIndices(NamedTuple):
     """S minibatches for each of P networks, of at most W rows."""
 
     rows: NDArray[np.int64]
@@ -76,8 +76,10 @@ class PolicyData(NamedTuple):
     """(P B, A): means, or probabilities, of the policies that acted; empty without a KL penalty."""
     kl_coeff: Floats
     """(P,)"""
+    clipped: bool
+    """PPO's clipped surrogate; False: A2C's loss."""
     clip: float
-    """PPO's; below 0: the loss is A2C's."""
+    """PPO's."""
     entropy_coeff: float
 
 
@@ -114,6 +116,10 @@ class Targets(NamedTuple):
     """Squared errors above it count as this constant."""
 
 
+_LOG_RATIO, _ADVANTAGE, _RATIO, _SCALE, _ENTROPY = range(5)
+"""What the rows of `Perceptrons.scratch` hold while a network is trained."""
+
+
 @compiled
 def _clear_gradient(net: Perceptrons, p: int) -> None:
     """Set the gradient of network p to 0."""
@@ -132,13 +138,13 @@ def _rows_per_pass(n: int) -> int:
 def _surrogate_derivatives(
     net: Perceptrons, data: PolicyData, weight: np.float32, n: int, reported: Floats
 ) -> None:
-    """Replace the advantages, `net.scratch[1]`, by d loss / d log-probability.
+    """Replace the advantages in `net.scratch` by d loss / d log-probability, given the log ratios there.
 
     PPO adds the approximate KL divergence and the share of clipped ratios to `reported` (3,), first and
-    third. `net.scratch[0]` are the log ratios, `net.scratch[2]` is overwritten.
+    third.
     """
-    log_ratios, advantages, ratios = net.scratch[0], net.scratch[1], net.scratch[2]
-    if data.clip < 0:
+    log_ratios, advantages, ratios = net.scratch[_LOG_RATIO], net.scratch[_ADVANTAGE], net.scratch[_RATIO]
+    if not data.clipped:
         for t in range(n):
             advantages[t] *= -weight
         return
@@ -160,18 +166,19 @@ def _surrogate_derivatives(
 
 
 @compiled
-def _learn_gaussian(
+def _add_gaussian_gradient(
     net: Perceptrons, p: int, rows: NDArray[np.int64], weight: np.float32, data: PolicyData, box: BoxActions,
     reported: Floats,
 ) -> None:  # fmt: skip
-    """Add the gradient of network p on `rows` (n,), each of weight `weight`."""
+    """Add the gradient of network p on `rows` (n,), each of weight `weight`, and its shares of the metrics to
+    `reported`."""
     n, size, half_log_2pi = len(rows), net.layers[-1, 1], np.float32(0.5 * math.log(2 * math.pi))
     top, last = net.layers[:, 0].sum(), net.errors[len(net.layers) % 2]
-    log_ratios, log_prob_gradients = net.scratch[0], net.scratch[1]
+    log_ratios, advantages = net.scratch[_LOG_RATIO], net.scratch[_ADVANTAGE]
     log_std, log_std_gradient = net.values[p, box.log_std_at :], net.gradient[p, box.log_std_at :]
     forward(net, p, data.observations, rows)
     for t in range(n):
-        log_ratios[t], log_prob_gradients[t] = -data.log_probs[rows[t]], data.advantages[rows[t]]
+        log_ratios[t], advantages[t] = -data.log_probs[rows[t]], data.advantages[rows[t]]
     for a in range(size):
         mean, standardised = net.activations[top + a], last[a]
         inverse, constant = np.float32(math.exp(-log_std[a])), log_std[a] + half_log_2pi
@@ -180,20 +187,22 @@ def _learn_gaussian(
             log_ratios[t] -= HALF * standardised[t] * standardised[t] + constant
         reported[1] += weight * n * (constant + HALF)
     _surrogate_derivatives(net, data, weight, n, reported)
+    log_prob_gradients = net.scratch[_ADVANTAGE]
     for a in range(size):
         mean, standardised = net.activations[top + a], last[a]
-        inverse, log_std_sum = np.float32(math.exp(-log_std[a])), -np.float32(data.entropy_coeff) * weight * n
+        inverse = np.float32(math.exp(-log_std[a]))
+        log_std_derivative = -np.float32(data.entropy_coeff) * weight * n
         for t in range(n):
-            log_std_sum += log_prob_gradients[t] * (standardised[t] * standardised[t] - ONE)
+            log_std_derivative += log_prob_gradients[t] * (standardised[t] * standardised[t] - ONE)
             standardised[t] *= log_prob_gradients[t] * inverse
         if len(data.old_outputs) > 0:
-            ratio = np.float32(math.exp(2 * (box.old_log_std[p, a] - log_std[a])))
+            variance_ratio = np.float32(math.exp(2 * (box.old_log_std[p, a] - log_std[a])))
             kl_weight = data.kl_coeff[p] * weight
             for t in range(n):
                 shift = (mean[t] - data.old_outputs[rows[t], a]) * inverse
                 standardised[t] += kl_weight * shift * inverse
-                log_std_sum += kl_weight * (ONE - ratio - shift * shift)
-        log_std_gradient[a] += log_std_sum
+                log_std_derivative += kl_weight * (ONE - variance_ratio - shift * shift)
+        log_std_gradient[a] += log_std_derivative
     backward(net, p, n)
 
 
@@ -237,20 +246,17 @@ def _normalise(
 
 
 @compiled
-def _learn_categorical(
+def _add_categorical_gradient(
     net: Perceptrons, p: int, rows: NDArray[np.int64], weight: np.float32, data: PolicyData,
     discrete: DiscreteActions, reported: Floats,
 ) -> None:  # fmt: skip
-    """Add the gradient of network p on `rows` (n,), each of weight `weight`."""
+    """Add the gradient of network p on `rows` (n,), each of weight `weight`, and its shares of the metrics to
+    `reported`."""
     n, size, actions = len(rows), net.layers[-1, 1], discrete.actions
     top, probabilities = net.layers[:, 0].sum(), net.errors[len(net.layers) % 2]
     logits = net.activations[top:]
-    log_ratios, log_prob_gradients, scales, entropies = (
-        net.scratch[0],
-        net.scratch[1],
-        net.scratch[3],
-        net.scratch[4],
-    )
+    log_ratios, advantages = net.scratch[_LOG_RATIO], net.scratch[_ADVANTAGE]
+    scales, entropies = net.scratch[_SCALE], net.scratch[_ENTROPY]
     forward(net, p, data.observations, rows)
     if len(discrete.masks) > 0:
         for t in range(n):
@@ -260,12 +266,13 @@ def _learn_categorical(
     _normalise(logits, probabilities, scales, net.exponents, net.powers, size, n)
     for t in range(n):
         r = rows[t]
-        log_ratios[t], log_prob_gradients[t] = logits[actions[r], t] - data.log_probs[r], data.advantages[r]
+        log_ratios[t], advantages[t] = logits[actions[r], t] - data.log_probs[r], data.advantages[r]
         entropies[t] = ZERO
     for a in range(size):
         for t in range(n):
             entropies[t] -= probabilities[a, t] * logits[a, t]
     _surrogate_derivatives(net, data, weight, n, reported)
+    log_prob_gradients = net.scratch[_ADVANTAGE]
     total = ZERO
     for t in range(n):
         total += entropies[t]
@@ -284,10 +291,11 @@ def _learn_categorical(
 
 
 @compiled
-def _learn_returns(
+def _add_regression_gradient(
     net: Perceptrons, p: int, rows: NDArray[np.int64], weight: np.float32, data: Targets, reported: Floats
 ) -> None:
-    """Add the gradient of network p on `rows` (n,), each of weight `weight`."""
+    """Add the gradient of network p on `rows` (n,), each of weight `weight`, and its shares of the metrics to
+    `reported`."""
     n, chosen, bound, differences = len(rows), len(data.taken) > 0, np.float32(data.bound), net.scratch[0]
     top, last = net.layers[:, 0].sum(), net.errors[len(net.layers) % 2]
     forward(net, p, data.inputs, rows)
@@ -308,13 +316,13 @@ def _learn_returns(
     backward(net, p, n)
 
 
-# The three loops below are alike. Numba cannot cache one loop that takes `_learn_...` as an argument or
-# encloses it: every process would compile it anew.
+# The three loops below are alike. Numba cannot cache one loop that takes `_add_..._gradient` as an argument
+# or encloses it: every process would compile it anew.
 @compiled
 def descend_gaussian(
     net: Perceptrons,
     adam: Adam,
-    batches: Minibatches,
+    batches: RowIndices,
     data: PolicyData,
     box: BoxActions,
     reported: Floats,
@@ -331,7 +339,7 @@ def descend_gaussian(
             part, weight = _rows_per_pass(n), np.float32(1 / n)
             for start in range(0, n, part):
                 rows = batches.rows[s, p, start : min(start + part, n)]
-                _learn_gaussian(net, p, rows, weight, data, box, reported[p])
+                _add_gaussian_gradient(net, p, rows, weight, data, box, reported[p])
             norms[p] += step_network(net.values[p], net.gradient[p], adam, p)
 
 
@@ -339,7 +347,7 @@ def descend_gaussian(
 def descend_categorical(
     net: Perceptrons,
     adam: Adam,
-    batches: Minibatches,
+    batches: RowIndices,
     data: PolicyData,
     discrete: DiscreteActions,
     reported: Floats,
@@ -355,13 +363,13 @@ def descend_categorical(
             part, weight = _rows_per_pass(n), np.float32(1 / n)
             for start in range(0, n, part):
                 rows = batches.rows[s, p, start : min(start + part, n)]
-                _learn_categorical(net, p, rows, weight, data, discrete, reported[p])
+                _add_categorical_gradient(net, p, rows, weight, data, discrete, reported[p])
             norms[p] += step_network(net.values[p], net.gradient[p], adam, p)
 
 
 @compiled
 def descend_returns(
-    net: Perceptrons, adam: Adam, batches: Minibatches, data: Targets, reported: Floats, norms: Floats
+    net: Perceptrons, adam: Adam, batches: RowIndices, data: Targets, reported: Floats, norms: Floats
 ) -> None:
     """Step P critics; add up the mean bounded squared error of each minibatch in `reported` (P, 1), the norms
     of the gradients in `norms` (P,)."""
@@ -374,5 +382,5 @@ def descend_returns(
             part, weight = _rows_per_pass(n), np.float32(1 / n)
             for start in range(0, n, part):
                 rows = batches.rows[s, p, start : min(start + part, n)]
-                _learn_returns(net, p, rows, weight, data, reported[p])
+                _add_regression_gradient(net, p, rows, weight, data, reported[p])
             norms[p] += step_network(net.values[p], net.gradient[p], adam, p)

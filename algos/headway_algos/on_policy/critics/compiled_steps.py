@@ -1,27 +1,28 @@
-"""Regression of critics on returns with compiled kernels: perceptrons in float32 on a CPU."""
+"""Minibatch steps of critics by compiled kernels: perceptrons in float32 on a CPU."""
 
 import numpy as np
 from torch import Tensor
 
 from headway_algos.networks.network import Network
 from headway_algos.optim.adam import StackedAdam
-from headway_algos.optim.fast_path import Descent, as_array, descent, perceptrons_of
+from headway_algos.optim.fast_path import as_array, compiled_steps, kernel_networks
+from headway_algos.optim.gradient_steps import Steps
 
 
-def compiled_regression(
+def compiled_critic_steps(
     network: Network,
     optimiser: StackedAdam,
     inputs: Tensor,
     taken: Tensor | None,
     targets: Tensor,
     value_clip: float | None,
-) -> Descent | None:
-    """Return the compiled steps down `squared_error`, or None if torch is to be used.
+) -> Steps | None:
+    """Return the steps that minimise `squared_error` by compiled kernels, or None to take them by autograd.
 
     Arguments are inputs (P, B, D), the index (P, B) of the trained output (None with one output) and targets
-    (P, B). The steps report the loss.
+    (P, B). The metric is the loss.
     """
-    networks = perceptrons_of(network, optimiser)
+    networks = kernel_networks(network, optimiser)
     if networks is None:
         return None
     from headway_algos import kernels
@@ -31,4 +32,4 @@ def compiled_regression(
     data = kernels.Targets(
         as_array(inputs, numbers), as_array(taken, np.empty(0, np.int64)), as_array(targets, numbers), bound
     )
-    return descent(kernels.descend_returns, networks, optimiser, (data,), 1)
+    return compiled_steps(kernels.descend_returns, networks, optimiser, (data,), 1)
