@@ -15,8 +15,8 @@ COMPILED := envs/headway_envs/__pycache__/.compiled
 KERNELS := $(wildcard platform/headway/contracts/numba_setup.py algos/headway_algos/kernels/*.py \
 	envs/headway_envs/*.py envs/headway_envs/*/kernel.py envs/headway_envs/*/kernel/*.py)
 SOURCES := platform envs algos launch tests
-# Side by side, one file of tests in one process, long files first (tests/conftest.py); ARGS="-n 0" tests in this one, where a debugger works.
-PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
+# Side by side, in processes and groups that tests/conftest.py chooses; ARGS="-n 0" tests in this one, where a debugger works.
+PYTEST := $(BIN)/python -m pytest --numprocesses=auto --dist=loadgroup --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiment sweep test check lint format types benchmarks notebooks browse clean
@@ -34,7 +34,8 @@ $(STAMP): pyproject.toml constraints.txt
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
 		{ echo "make: $(PYTHON) is not Python 3.11; give one: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e ".[dev,sumo]"
+	$(BIN)/python -m pip install --quiet --no-compile $(PIP_ARGS) -c constraints.txt -e ".[dev,sumo]"
+	@$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true  # pip would use one core; templates among the files fail
 	@touch $@
 
 $(COMPILED): $(STAMP) $(KERNELS)
@@ -56,13 +57,11 @@ test: $(COMPILED) ## run the tests that take little time: those without a mark
 	@$(PYTEST) -m "not slow and not cluster and not browser and not data" $(ARGS)
 	@echo "left out: tests marked slow, cluster, browser or data (pyproject.toml says which); make check runs all"
 
-check: $(COMPILED) ## formatting, lint, types and all tests; those that need Chromium, Slurm or data skip without
-	$(BIN)/ruff format --check $(SOURCES)
-	$(BIN)/ruff check $(SOURCES)
-	$(BIN)/mypy
+check: lint types $(COMPILED) ## formatting, lint, types and all tests; those that need Chromium, Slurm or data skip without
 	$(PYTEST) -q $(ARGS)
 
-lint: $(STAMP) ## look for mistakes and bad style
+lint: $(STAMP) ## look for mistakes, bad style and formatting
+	@$(BIN)/ruff format --check $(SOURCES)
 	@$(BIN)/ruff check $(SOURCES)
 
 format: $(STAMP) ## format the code
