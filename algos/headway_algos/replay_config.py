@@ -1,8 +1,9 @@
 """Configuration of the off-policy algorithms, which learn from a replay buffer. Imports no torch."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import exp
-from typing import Literal
+from typing import ClassVar, Literal
 
 from headway.contracts.checks import require
 from headway_algos.config import LearnerConfig
@@ -65,6 +66,13 @@ class ReplayConfig(LearnerConfig):
     normalise_observations: bool = True
     """Normalise observations by running statistics per policy, stored with the parameters. Replay buffers
     hold unnormalised observations."""
+    normalise_rewards: bool = True
+    """Divide rewards by the root mean square of the returns over `n_step` decisions in the policy's replay
+    buffer, so that losses and gradients do not depend on the unit of reward."""
+    VALUES_BEFORE: ClassVar[Mapping[str, object]] = {
+        **LearnerConfig.VALUES_BEFORE,
+        "normalise_rewards": False,
+    }
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -138,7 +146,7 @@ class DDPGConfig(ReplayConfig):
     saturation_coeff: float = 0.0
     """Weight of a penalty in the actor's objective: the squared inputs of its tanh, summed over the
     components of an action. Without it actions can stick to the bounds, where the gradient vanishes
-    (Andrychowicz et al. 2017, arXiv:1707.01495, appendix A). In units of reward: scale it with them."""
+    (Andrychowicz et al. 2017, arXiv:1707.01495, appendix A). In units of reward, normalised if they are."""
     ou_theta: float = 0.15
     """Share by which the noise decays per step."""
     ou_sigma: float = 0.2

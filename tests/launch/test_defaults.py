@@ -14,8 +14,6 @@ from headway_launch.experiments.compose import compose
 pytestmark = pytest.mark.slow
 
 ENV_STEPS = 20_000
-LATER = {"ddpg": 40_000}
-"""Environment steps of algorithms that need more."""
 
 
 @pytest.mark.parametrize("algorithm", algo_entries())
@@ -24,7 +22,7 @@ def test_defaults_close_half_of_the_gap_between_random_and_optimal_play(
 ) -> None:
     words = [f"env={'tracking' if algorithm == 'ddpg' else 'visitors'}", f"algo={algorithm}"]
     options = [
-        f"env_steps={LATER.get(algorithm, ENV_STEPS)}",
+        f"env_steps={ENV_STEPS}",
         "seed=1",
         "backend=serial",
         "energy=off",

@@ -138,13 +138,19 @@ class OffPolicyLearner:
         policies = range(self.grouping.num_policies)
         random = [generator(seed, "replay", k, iteration) for seed in self.seeds for k in policies]
         updates = self.config.updates
+        scale = self.replay.return_scale().to(self.dtype) if self.config.normalise_rewards else None
         for slots in self.replay.draws(random, active, (updates, self.config.batch_size)):
             batch = self.replay.batch(slots, self.dtype)
-            for name, value in self.method.learn(self._normalised(batch), active).items():
+            for name, value in self.method.learn(self._normalised(batch, scale), active).items():
                 sums[name] += value / updates
+        if scale is not None:
+            sums["critic/value"] *= scale  # in units of reward
         return {name: torch.where(stepped, value, torch.nan) for name, value in sums.items()}
 
-    def _normalised(self, batch: Batch) -> Batch:
+    def _normalised(self, batch: Batch, scale: Tensor | None) -> Batch:
+        """Return the batch with normalised observations, and with returns divided by `scale` (P,)."""
+        if scale is not None:
+            batch = replace(batch, returns=batch.returns / scale[:, None])
         if not self.config.normalise_observations:
             return batch
         return replace(

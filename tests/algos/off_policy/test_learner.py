@@ -195,6 +195,35 @@ def test_nothing_is_learned_before_there_is_enough_to_draw_from(
     assert info["memory/transitions"][0] == held.mean()
 
 
+@every_case
+@pytest.mark.parametrize("normalised", [True, False])
+def test_with_normalised_rewards_their_unit_does_not_matter(
+    fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec, normalised: bool
+) -> None:
+    """Rewards eight times larger, a power of two, give values eight times larger; all else is the same."""
+    config = replace(config, normalise_rewards=normalised)
+    first, second = (_learner(config, spec, (1, 2)) for _ in range(2))
+    infos = []
+    for iteration in (1, 2, 3):
+        made = fabricate(spec, 10, 4, seed=iteration, ends=0.3)
+        scaled = replace(made, rewards=8 * made.rewards)
+        infos = [learner.update(rows, iteration, 0.1) for learner, rows in ((first, made), (second, scaled))]
+    same = [np.array_equal(value, _tensors(second)[name]) for name, value in _tensors(first).items()]
+    assert all(same) == normalised
+    if normalised:
+        np.testing.assert_array_equal(infos[1]["critic/value"], 8 * infos[0]["critic/value"])
+
+
+def test_the_scale_of_rewards_is_the_root_mean_square_of_what_is_stored(fabricate: Fabricate) -> None:
+    learner = _learner(MADQN, DISCRETE, (1,))
+    assert learner.replay.return_scale().tolist() == [1, 1, 1]
+    learner.update(fabricate(DISCRETE, 10, 3, seed=0, ends=0.3), 1, 0.0)
+    returns = learner.replay.arrays["returns"].view(3, -1).numpy()
+    for p, filled in enumerate(learner.replay.filled.tolist()):
+        expected = np.sqrt(np.mean(returns[p, :filled] ** 2))
+        assert float(learner.replay.return_scale()[p]) == pytest.approx(expected, rel=1e-12)
+
+
 def test_exploration_follows_its_schedule_and_is_reported(fabricate: Fabricate) -> None:
     config = replace(MADQN, exploration_start=0.8, exploration_end=0.2, exploration_share=0.5)
     learner, reported, acted = _learner(config, DISCRETE, (1, 2)), [], []
