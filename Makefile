@@ -52,6 +52,8 @@ sweep: $(COMPILED) ## train one experiment over many seeds: CONFIG=bus_mappo SEE
 test check: export OMP_NUM_THREADS = 1
 test check: export OPENBLAS_NUM_THREADS = 1
 test check: export MKL_NUM_THREADS = 1
+# Tests start hundreds of processes, which then read what the first of them compiled.
+test check: export PYTHONDONTWRITEBYTECODE =
 
 test: $(COMPILED) ## run the tests that take little time: those without a mark
 	@$(PYTEST) -m "not slow and not cluster and not browser and not data" $(ARGS)

@@ -8,9 +8,9 @@ Q(o, u) descends E[l(Q(o, u) - y)] and the actor ascends Q at its own action:
 
 (Lillicrap et al. 2016, arXiv:1509.02971, algorithm 1). Q' and mu' are target networks, theta' <- tau theta +
 (1 - tau) theta'. Differences from the paper: actions enter the critic's first layer, observations are
-normalised by running statistics instead of batch normalisation, rewards are divided by the root mean square of
-those in the replay buffer (`normalise_rewards`), there is no weight decay, and a penalty can keep the actor off
-the bounds (`saturation_coeff`; 0, the default, is the paper's).
+normalised by running statistics instead of batch normalisation, rewards are divided by the root mean square
+of those in the replay buffer (`normalise_rewards`), there is no weight decay, and a penalty can keep the
+actor off the bounds (`saturation_coeff`; 0, the default, is the paper's).
 
 Related: MADQN is the counterpart for Discrete actions and needs no actor; IPPO learns a Gaussian policy from
 on-policy data.
