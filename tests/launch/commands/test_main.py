@@ -96,7 +96,7 @@ def test_the_list_of_an_algorithms_keys_includes_the_rollout_that_it_brings(
 
 
 def test_debug_shows_the_traceback() -> None:
-    with pytest.raises(Exception, match="no command"):
+    with pytest.raises(Exception, match="unknown command"):
         run(["--debug", "rnu"])
 
 
