@@ -20,29 +20,15 @@ os.environ["HEADWAY_TESTS"] = str(os.getpid())  # marks all processes that tests
 os.environ["SPT_NOENV"] = "1"  # processes that Ray renames keep their environment readable
 
 
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Return the number of test processes: one per core, and one more if there are tests of clusters, which
-    spend half of their time waiting."""
-    cores = min(os.cpu_count() or 1, 4)
-    return cores if "not cluster" in config.option.markexpr else cores + 1
-
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put files that start clusters first and quick ones last, and each file in a group of its own, which one
-    test process runs: the long ones overlap, and none is left over for the end.
+    """Put files that wait for clusters first and quick ones last: with one file per worker process the long
+    ones overlap, and none is left over for the end."""
 
-    Files that start clusters form two groups, so that no more than two start at the same time: Ray gives up
-    on a node that takes more than 30 seconds to start.
-    """
     rank: dict[Path, int] = {}
     for item in items:
         marks = [item.get_closest_marker(name) is not None for name in ("cluster", "slow")]
         rank[item.path] = min(rank.get(item.path, 2), marks.index(True) if any(marks) else 2)
     items.sort(key=lambda item: rank[item.path])
-    clusters = sorted(path for path in rank if rank[path] == 0)
-    for item in items:
-        group = f"cluster {clusters.index(item.path) % 2}" if item.path in clusters else str(item.path)
-        item.add_marker(pytest.mark.xdist_group(group))
 
 
 @pytest.fixture(scope="session")

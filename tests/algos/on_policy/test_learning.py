@@ -255,6 +255,7 @@ def test_deterministic_policies_track_at_little_more_than_the_optimal_cost() -> 
         "lr": 1e-3,
         "critic_lr": 5e-3, "lr_end": 0.02, "updates": 40, "learning_starts": 200, "tau": 0.05,
         "loss": "huber", "exploration_start": 0.5, "normalise_observations": False,
+        "normalise_rewards": False,
     }  # fmt: skip
     episode = {"steps": 20}
     best = _rule("tracking", episode, "optimal")

@@ -97,7 +97,7 @@ def test_features_are_normalised_and_indicators_are_not(
     critic.update_normalisers(made)
     scaled = _estimate(learner, made).inputs[0]
     here = torch.from_numpy(critic.layout.selection(made.alive[:-1])[0])
-    size, (rows, own_rows) = critic.view.feature_size, (scaled[here], raw[here])
+    size, (rows, own_rows) = critic.critic_inputs.feature_size, (scaled[here], raw[here])
     mean, std = own_rows[:, :size].mean(0), own_rows[:, :size].std(0, correction=0)
     torch.testing.assert_close(rows[:, :size], (own_rows[:, :size] - mean) / std, rtol=1e-6, atol=1e-6)
     assert torch.equal(rows[:, size:], own_rows[:, size:])
