@@ -67,7 +67,7 @@ class RunningStatistics(nn.Module):
         self.variance = torch.where(total > 1, new_squares / total.clamp(min=1), self.variance)
         self.count, self.rows = total, self.rows + count
 
-    def _load_from_state_dict(self, state: dict[str, Any], prefix: str, *more: Any) -> None:  # noqa: ANN401 - torch's
+    def _load_from_state_dict(self, state: dict[str, Any], prefix: str, *more: object) -> None:
         """Take the weight for the number of rows where an earlier version stored no number."""
         if self.share > 0:
             state.setdefault(f"{prefix}rows", state[f"{prefix}count"])

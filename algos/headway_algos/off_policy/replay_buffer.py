@@ -109,9 +109,9 @@ class ReplayBuffer:
     def return_scale(self) -> Tensor:
         """Return the root mean square of each policy's stored returns, (P,); 1 if all are 0."""
         # Empty slots hold 0.
-        squares = self.arrays["returns"].view(len(self.filled), -1).square().sum(1)
-        means = squares / torch.from_numpy(self.filled).to(self.device).clamp(min=1)
-        return torch.where(means > 0, means.sqrt(), 1)
+        norms = torch.linalg.vector_norm(self.arrays["returns"].view(len(self.filled), -1), dim=1)
+        scale = norms / torch.from_numpy(self.filled).to(self.device).double().clamp(min=1).sqrt()
+        return torch.where(scale > 0, scale, 1)
 
     def _filled_rows(self) -> Tensor:
         """Return the indices of rows that hold a transition, over all policies."""

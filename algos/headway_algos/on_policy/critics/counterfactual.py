@@ -25,8 +25,8 @@ from headway_algos.on_policy.critics.reward_streams import lambda_advantages
 class CounterfactualCritic:
     """Q(s, u^-a, o^a, id_a) with one output per own action, and a target network Q'.
 
-    Advantages are `counterfactual_advantages`. Returns are TD(lambda) targets
-    over the target network's Q' of the actions taken,
+    Advantages are `counterfactual_advantages`. Returns are TD(lambda) targets over the target network's Q' of
+    the actions taken,
 
         y_t = r_t + gamma ((1 - lambda) Q'(s_t+1, u_t+1) + lambda y_t+1),
 
@@ -73,9 +73,8 @@ class CounterfactualCritic:
 
     def _rows(self, batch: CriticBatch) -> tuple[Tensor, Tensor]:
         """Return features before normalisation (P, B, feature_size) and indicators (P, B, indicator_size)."""
-        return self.layout.rows(self.critic_inputs.features(batch)), self.layout.rows(
-            self.critic_inputs.indicators(batch)
-        )
+        inputs = self.critic_inputs
+        return self.layout.rows(inputs.features(batch)), self.layout.rows(inputs.indicators(batch))
 
     def _by_agent(
         self, networks: ReturnNetworks, inputs: Tensor, batch: CriticBatch, hidden_states: HiddenStates | None
