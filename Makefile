@@ -35,7 +35,7 @@ $(STAMP): pyproject.toml constraints.txt
 		{ echo "make: $(PYTHON) is not Python 3.11; give one: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --no-compile $(PIP_ARGS) -c constraints.txt -e ".[dev,sumo]"
-	@$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true  # pip would use one core; templates among the files fail
+	@$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true  # pip would use one core; files of Python 2 and 3.12 in sumo and torch do not compile
 	@touch $@
 
 $(COMPILED): $(STAMP) $(KERNELS)
