@@ -156,6 +156,7 @@ class EvaluationConfig:
         require(self.episodes >= 1, "episodes must be at least 1")
         require(self.every >= 1, "every must be at least 1")
         require(self.final_episodes >= 1, "final_episodes must be at least 1")
+        require(self.seed >= 0, "seed must be at least 0")
         require(len(self.modes) >= 1, "modes must name at least one of greedy, sampled")
 
     @property

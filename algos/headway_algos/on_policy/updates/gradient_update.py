@@ -16,7 +16,14 @@ from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.compiled_steps import compiled_policy_steps
 from headway_algos.on_policy.updates.config import GradientUpdateConfig, PPOConfig
 from headway_algos.on_policy.updates.kl_penalty import KLPenalty, OldPolicies
-from headway_algos.on_policy.updates.losses import A2CLoss, LossRows, PolicyLoss, PPOLoss, checked_loss
+from headway_algos.on_policy.updates.losses import (
+    A2CLoss,
+    LossRows,
+    PolicyLoss,
+    PPOLoss,
+    checked_loss,
+    metric_names,
+)
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.gradient_steps import autograd_steps
 
@@ -35,6 +42,7 @@ class GradientUpdate:
         penalty: KLPenalty | None = None,
     ) -> None:
         self.actor, self.config, self.layout, self.loss = actor, config, layout, loss
+        self.metrics = metric_names(loss)
         self.epochs, self.minibatches, self.penalty = epochs, minibatches, penalty
         self.optimiser = StackedAdam(actor.learnable, config.lr, config.grad_clip)
 
@@ -52,9 +60,9 @@ class GradientUpdate:
             self.config.piece_samples, self.layout,
         )  # fmt: skip
         compiled = compiled_policy_steps(self.loss, self.actor, self.optimiser, rows, advantages, old)
-        take_steps = compiled or autograd_steps(self.optimiser, add_gradients, len(self.loss.reports))
+        take_steps = compiled or autograd_steps(self.optimiser, add_gradients, len(self.metrics))
         reported, norm = take_steps(schedule)
-        info = dict(zip(self.loss.reports, reported, strict=True)) | {"gradient_norm": norm}
+        info = dict(zip(self.metrics, reported, strict=True)) | {"gradient_norm": norm}
         if self.penalty is not None and old is not None:
             info |= self.penalty.adapt(self.actor, rows, old)
         return info

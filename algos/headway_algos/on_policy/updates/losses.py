@@ -41,6 +41,24 @@ class PolicyLoss(Protocol):
         ...
 
 
+def metric_names(loss: PolicyLoss) -> tuple[str, ...]:
+    """Return the names of the metrics that a loss reports.
+
+    Raises HeadwayError unless `reports` is a tuple of names without `gradient_norm`, which updates report
+    themselves.
+    """
+    name, reports = type(loss).__name__, getattr(loss, "reports", None)
+    if not (isinstance(reports, tuple) and all(isinstance(metric, str) for metric in reports)):
+        raise HeadwayError(
+            f'{name}.reports must be a tuple of the names of its metrics, such as ("entropy",) or ()'
+        )
+    if "gradient_norm" in reports:
+        raise HeadwayError(
+            f"{name} reports gradient_norm, which the update reports; give its metric another name"
+        )
+    return reports
+
+
 def checked_loss(loss: PolicyLoss, new: Distribution, batch: LossRows) -> tuple[Tensor, Tensor]:
     """Return a loss per row (P, B) and the I metrics that it reports (I, P, B).
 
@@ -55,6 +73,10 @@ def checked_loss(loss: PolicyLoss, new: Distribution, batch: LossRows) -> tuple[
     if missing := [metric for metric in loss.reports if metric not in metrics]:
         raise HeadwayError(f"{name} reports {', '.join(missing)}, and must return it in its dict of metrics")
     for what, rows in (("its loss", values), *((metric, metrics[metric]) for metric in loss.reports)):
+        if not isinstance(rows, Tensor):
+            raise HeadwayError(
+                f"{name} must return tensors of torch, and {what} is of type {type(rows).__name__}"
+            )
         if tuple(rows.shape) != shape:
             raise HeadwayError(
                 f"{name} must return one value per row, of shape (policies, rows) = {shape} here, and {what} "
@@ -62,7 +84,8 @@ def checked_loss(loss: PolicyLoss, new: Distribution, batch: LossRows) -> tuple[
             )
     if not values.requires_grad:
         raise HeadwayError(f"{name} has no gradient: it must depend on the distributions `new`, not detached")
-    return values, torch.stack([metrics[metric] for metric in loss.reports]).detach()
+    reported = [metrics[metric].detach() for metric in loss.reports]
+    return values, torch.stack(reported) if reported else values.new_zeros(0, *shape)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from headway.contracts import HeadwayError
 from headway_algos.networks.distributions import Distribution, MaskedCategorical
-from headway_algos.on_policy.updates.losses import LossRows, checked_loss
+from headway_algos.on_policy.updates.losses import LossRows, checked_loss, metric_names
 
 P, B = 2, 5
 NEW = MaskedCategorical.of_logits(torch.zeros(P, 3, B, requires_grad=True), None)
@@ -44,9 +44,38 @@ def test_a_loss_per_row_and_its_metrics_are_returned() -> None:
         ),
         (lambda x: (x.sum(1), {"entropy": x}), r"and its loss has shape \(2,\); leave out means and sums"),
         (lambda x: (x, {"entropy": x.mean()}), r"and entropy has shape \(\)"),
+        (lambda x: (x, {"entropy": 0.5}), "tensors of torch, and entropy is of type float"),
+        (lambda x: (x.detach().numpy(), {"entropy": x}), "and its loss is of type ndarray"),
         (lambda x: (x.detach(), {"entropy": x}), "has no gradient"),
     ],
 )
 def test_other_results_are_refused(returned: Callable[[Tensor], object], line: str) -> None:
     with pytest.raises(HeadwayError, match=f"^_Loss .*{line}"):
         checked_loss(_Loss(returned), NEW, BATCH)
+
+
+@pytest.mark.parametrize(
+    ("reports", "line"),
+    [
+        (None, r"_Reporting\.reports must be a tuple"),
+        ("entropy", r"_Reporting\.reports must be a tuple"),
+        ((1,), r"_Reporting\.reports must be a tuple"),
+        (("gradient_norm",), "_Reporting reports gradient_norm, which the update reports"),
+    ],
+)
+def test_other_names_of_metrics_are_refused(reports: object, line: str) -> None:
+    class _Reporting(_Loss):
+        pass
+
+    _Reporting.reports = cast("tuple[str, ...]", reports)
+    with pytest.raises(HeadwayError, match=f"^{line}"):
+        metric_names(_Reporting(lambda x: x))
+
+
+def test_a_loss_may_report_nothing() -> None:
+    loss = _Loss(lambda x: (-x, {}))
+    loss.reports = ()  # type: ignore[misc]
+    assert metric_names(loss) == ()
+    values, metrics = checked_loss(loss, NEW, BATCH)
+    assert values.shape == (P, B)
+    assert metrics.shape == (0, P, B)
