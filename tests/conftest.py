@@ -34,8 +34,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 class _FileScheduling(LoadFileScheduling):
-    """Gives a test process one file after another, but those that start clusters in two groups, one process each:
-    started by more processes at once, Ray gives up before it has found its own processes."""
+    """Gives each test process one file after another, but the files that start clusters in two groups.
+
+    Each group stays in one process: if more than two start Ray at once, it gives up before its own processes
+    answer.
+    """
 
     def _split_scope(self, nodeid: str) -> str:
         path = Path(super()._split_scope(nodeid))

@@ -74,7 +74,7 @@ def test_other_names_of_metrics_are_refused(reports: object, line: str) -> None:
 
 def test_a_loss_may_report_nothing() -> None:
     loss = _Loss(lambda x: (-x, {}))
-    loss.reports = ()  # type: ignore[misc]
+    loss.reports = ()
     assert metric_names(loss) == ()
     values, metrics = checked_loss(loss, NEW, BATCH)
     assert values.shape == (P, B)
