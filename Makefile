@@ -15,10 +15,8 @@ COMPILED := envs/headway_envs/__pycache__/.compiled
 KERNELS := $(wildcard platform/headway/contracts/numba_setup.py algos/headway_algos/kernels/*.py \
 	envs/headway_envs/*.py envs/headway_envs/*/kernel.py envs/headway_envs/*/kernel/*.py)
 SOURCES := platform envs algos launch tests
-# Side by side, one file of tests in one process, long files first (tests/conftest.py), and one process more than
-# cores, since some tests wait for others' processes; ARGS="-n 0" tests in this one, where a debugger works.
-PROCESSES := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
-PYTEST := $(BIN)/python -m pytest --numprocesses=$(PROCESSES) --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
+# Side by side, one file of tests in one process, long files first (tests/conftest.py); ARGS="-n 0" tests in this one, where a debugger works.
+PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiment sweep test check lint format types benchmarks notebooks browse clean

@@ -9,8 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
-from xdist.remote import Producer
-from xdist.scheduler import LoadFileScheduling
 
 import headway_envs.bus.scenario.synthetic as synthetic
 from headway.store.tracking.client import Tracker
@@ -31,26 +29,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         marks = [item.get_closest_marker(name) is not None for name in ("cluster", "slow")]
         rank[item.path] = min(rank.get(item.path, 2), marks.index(True) if any(marks) else 2)
     items.sort(key=lambda item: rank[item.path])
-
-
-class _FileScheduling(LoadFileScheduling):
-    """Gives each test process one file after another, but the files that start clusters in two groups.
-
-    Each group stays in one process: if more than two start Ray at once, it gives up before its own processes
-    answer.
-    """
-
-    def _split_scope(self, nodeid: str) -> str:
-        path = Path(super()._split_scope(nodeid))
-        if "pytest.mark.cluster" not in (TESTS.parent / path).read_text():
-            return str(path)
-        return "clusters in trials" if path.parent.name == "trials" else "clusters"
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> _FileScheduling:
-    """Distribute files over test processes."""
-    return _FileScheduling(config, log)
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,8 @@ Critics, updates and orders add their own; `headway_algos.records` combines them
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from math import isfinite
 from typing import ClassVar, Literal
 
 from headway.contracts.checks import require
@@ -75,6 +76,11 @@ class LearnerConfig:
     """Dtype of networks and their inputs; normalisers, advantages and returns are always float64."""
 
     def __post_init__(self) -> None:
+        for key in fields(self):
+            value = getattr(self, key.name)
+            require(
+                not isinstance(value, float) or isfinite(value), f"{key.name} must be finite, not {value}"
+            )
         require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
         require(self.lr > 0, "lr must be above 0")
         require(0 <= self.lr_end <= 1, "lr_end must lie in [0, 1]")

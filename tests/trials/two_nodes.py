@@ -334,7 +334,7 @@ def resume_all(processes: Sequence[psutil.Process]) -> None:
 
 
 def until(condition: Callable[[], bool]) -> None:
-    """Wait until `happens()` is true. Raises HeadwayError after `_TIMEOUT_S`."""
+    """Wait until a condition holds. Raises HeadwayError after `_TIMEOUT_S`."""
     deadline = time.monotonic() + _TIMEOUT_S
     while not condition():
         if time.monotonic() > deadline:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from functools import cache
 from itertools import pairwise
-from math import isfinite
+from math import isnan
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -257,8 +257,8 @@ def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any anno
 def _convert_scalar(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if hint is float and is_number:
-        if not isfinite(value):
-            raise HeadwayError(f"{key} must be a finite number, not {value}")
+        if isnan(value):
+            raise HeadwayError(f"{key} must be a number, not {value}")
         return float(value)
     if hint is int and is_number and float(value).is_integer():
         return int(value)
