@@ -4,11 +4,10 @@ Critics, updates and orders add their own; `headway_algos.records` combines them
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from math import isfinite
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
-from headway.contracts.checks import require
+from headway.contracts.checks import require, require_finite
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,7 @@ class ModelConfig:
     sequences can learn longer dependencies, and are slower."""
 
     def __post_init__(self) -> None:
+        require_finite(self)
         require(all(size >= 1 for size in self.hidden), "hidden sizes must be at least 1")
         require(self.gru_size >= 1, "gru_size must be at least 1")
         require(self.sequence_length >= 1, "sequence_length must be at least 1")
@@ -76,11 +76,7 @@ class LearnerConfig:
     """Dtype of networks and their inputs; normalisers, advantages and returns are always float64."""
 
     def __post_init__(self) -> None:
-        for key in fields(self):
-            value = getattr(self, key.name)
-            require(
-                not isinstance(value, float) or isfinite(value), f"{key.name} must be finite, not {value}"
-            )
+        require_finite(self)
         require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
         require(self.lr > 0, "lr must be above 0")
         require(0 <= self.lr_end <= 1, "lr_end must lie in [0, 1]")

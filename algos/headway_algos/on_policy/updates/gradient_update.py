@@ -22,7 +22,7 @@ from headway_algos.on_policy.updates.losses import (
     PolicyLoss,
     PPOLoss,
     checked_loss,
-    metric_names,
+    require_reports,
 )
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.gradient_steps import autograd_steps
@@ -41,8 +41,8 @@ class GradientUpdate:
         minibatches: int = 1,
         penalty: KLPenalty | None = None,
     ) -> None:
+        require_reports(loss)
         self.actor, self.config, self.layout, self.loss = actor, config, layout, loss
-        self.metrics = metric_names(loss)
         self.epochs, self.minibatches, self.penalty = epochs, minibatches, penalty
         self.optimiser = StackedAdam(actor.learnable, config.lr, config.grad_clip)
 
@@ -60,9 +60,9 @@ class GradientUpdate:
             self.config.piece_samples, self.layout,
         )  # fmt: skip
         compiled = compiled_policy_steps(self.loss, self.actor, self.optimiser, rows, advantages, old)
-        take_steps = compiled or autograd_steps(self.optimiser, add_gradients, len(self.metrics))
+        take_steps = compiled or autograd_steps(self.optimiser, add_gradients, len(self.loss.reports))
         reported, norm = take_steps(schedule)
-        info = dict(zip(self.metrics, reported, strict=True)) | {"gradient_norm": norm}
+        info = dict(zip(self.loss.reports, reported, strict=True)) | {"gradient_norm": norm}
         if self.penalty is not None and old is not None:
             info |= self.penalty.adapt(self.actor, rows, old)
         return info

@@ -41,12 +41,8 @@ class PolicyLoss(Protocol):
         ...
 
 
-def metric_names(loss: PolicyLoss) -> tuple[str, ...]:
-    """Return the names of the metrics that a loss reports.
-
-    Raises HeadwayError unless `reports` is a tuple of names without `gradient_norm`, which updates report
-    themselves.
-    """
+def require_reports(loss: PolicyLoss) -> None:
+    """Raise HeadwayError unless `reports` is a tuple of names, not `gradient_norm`, which updates report."""
     name, reports = type(loss).__name__, getattr(loss, "reports", None)
     if not (isinstance(reports, tuple) and all(isinstance(metric, str) for metric in reports)):
         raise HeadwayError(
@@ -56,7 +52,6 @@ def metric_names(loss: PolicyLoss) -> tuple[str, ...]:
         raise HeadwayError(
             f"{name} reports gradient_norm, which the update reports; give its metric another name"
         )
-    return reports
 
 
 def checked_loss(loss: PolicyLoss, new: Distribution, batch: LossRows) -> tuple[Tensor, Tensor]:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from headway.contracts import HeadwayError
 from headway_algos.networks.distributions import Distribution, MaskedCategorical
-from headway_algos.on_policy.updates.losses import LossRows, checked_loss, metric_names
+from headway_algos.on_policy.updates.losses import LossRows, checked_loss, require_reports
 
 P, B = 2, 5
 NEW = MaskedCategorical.of_logits(torch.zeros(P, 3, B, requires_grad=True), None)
@@ -69,13 +69,13 @@ def test_other_names_of_metrics_are_refused(reports: object, line: str) -> None:
 
     _Reporting.reports = cast("tuple[str, ...]", reports)
     with pytest.raises(HeadwayError, match=f"^{line}"):
-        metric_names(_Reporting(lambda x: x))
+        require_reports(_Reporting(lambda x: x))
 
 
 def test_a_loss_may_report_nothing() -> None:
     loss = _Loss(lambda x: (-x, {}))
     loss.reports = ()
-    assert metric_names(loss) == ()
+    require_reports(loss)
     values, metrics = checked_loss(loss, NEW, BATCH)
     assert values.shape == (P, B)
     assert metrics.shape == (0, P, B)
