@@ -5,9 +5,11 @@
 
 import sys
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import chain
+from multiprocessing import get_context
 from typing import TYPE_CHECKING
 
 from headway.registry import algo_entries, env_entries
@@ -35,18 +37,31 @@ def compile_kernels_of(experiments: "Iterable[Experiment]") -> None:
 
 
 def compile_all_kernels() -> None:
-    """Compile the kernels of all registered environments and algorithms."""
+    """Compile the kernels of all registered environments and algorithms, in one process per core."""
+    print_line(_LINE)
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        list(pool.map(_warm_module, kernel_modules()))
+
+
+def kernel_modules() -> list[str]:
+    """Return the modules, by name, of all environments and algorithms that may define `warm`."""
     of_envs = (entry.preload for entry in env_entries().values())
     of_algos = (entry.kernels for entry in algo_entries().values())
-    _warm(chain.from_iterable((*of_envs, *of_algos)))
+    return list(dict.fromkeys(chain.from_iterable((*of_envs, *of_algos))))
 
 
 def _warm(names: Iterable[str]) -> None:
-    modules = [import_module(name) for name in dict.fromkeys(names)]
+    for name in (names := list(dict.fromkeys(names))):
+        import_module(name)
     with _compilation_shown():
-        for module in modules:
-            if hasattr(module, "warm"):
-                module.warm()
+        for name in names:
+            _warm_module(name)
+
+
+def _warm_module(name: str) -> None:
+    module = import_module(name)
+    if hasattr(module, "warm"):
+        module.warm()
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """How numba is imported, and how its compiled functions are cached, in every package of the project."""
 
+import fcntl
 import os
 import sys
 import zlib
@@ -33,6 +34,21 @@ with _import_blocked("scipy", "scipy.linalg.cython_blas"):
     import numba
 
     import_module("numba.np.arraymath")
+    from numba.core.caching import FunctionCache
+
+
+class _LockedCache(FunctionCache):  # type: ignore[misc]  # numba has no type stubs
+    """Numba's cache on disk, written by one process at a time.
+
+    Numba numbers its files without a lock: two processes that compile one function for different types would
+    write the same file, and later processes load the machine code of the wrong types.
+    """
+
+    def _save_overload(self, sig: object, data: object) -> None:
+        self._impl.locator.ensure_cache_path()
+        with Path(self._impl.locator.get_cache_path(), "kernel.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            super()._save_overload(sig, data)
 
 
 def compiled_with(function: Callable[P, R], **options: object) -> Callable[P, R]:
@@ -42,12 +58,12 @@ def compiled_with(function: Callable[P, R], **options: object) -> Callable[P, R]
     (`NUMBA_CACHE_DIR`) is writable, there is no cache and every process compiles anew.
     """
     options = {"nogil": True, "error_model": "numpy", **options}
+    jit = numba.njit(**options)(function)
     try:
-        jit = numba.njit(cache=True, **options)(function)
+        jit._cache = _LockedCache(function)
     except RuntimeError as error:
         if "no locator available" not in str(error):
             raise
-        jit = numba.njit(**options)(function)
     return cast("Callable[P, R]", jit)
 
 

@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Iterable
-from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,7 +16,7 @@ from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.registry import algo_entry, env_entry
 from headway_launch.commands.main import run as run_command
 from headway_launch.experiments.compose import Experiment, compose
-from headway_launch.runner.warm_up import compile_all_kernels, compile_kernels, compile_kernels_of
+from headway_launch.runner.warm_up import compile_kernels, compile_kernels_of, kernel_modules
 
 
 def entry(*preload: str) -> EnvEntry:
@@ -81,16 +80,13 @@ def test_kernels_of_learners_and_environments_are_compiled_together(
     assert sorted(warmed) == ["learning", "stepping"]
 
 
-def test_setup_compiles_all_kernels_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    warmed, written = [], []
+def test_setup_compiles_all_kernels_there_are() -> None:
+    written = []
     for package in (headway_envs, headway_algos):
         folder = Path(package.__path__[0])
         for file in folder.rglob("*.py"):
             if "\ndef warm(" in file.read_text(encoding="utf-8"):
                 parts = file.relative_to(folder.parent).with_suffix("").parts
                 written.append(".".join(parts).removesuffix(".__init__"))
-    for module in written:
-        monkeypatch.setattr(f"{module}.warm", partial(warmed.append, module))
-    compile_all_kernels()
-    assert sorted(warmed) == sorted(written)
     assert len(written) > 3
+    assert set(written) <= set(kernel_modules())

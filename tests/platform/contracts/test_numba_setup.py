@@ -33,6 +33,38 @@ def test_machine_code_is_removed_when_a_source_changes(tmp_path: Path) -> None:
     assert not kept.exists()
 
 
+_DOUBLED = """
+from headway.contracts.numba_setup import compiled_with
+
+def double(x):
+    return x + x
+
+double = compiled_with(double)
+"""
+_COMPILED_TOGETHER = """
+import sys, time
+from numba.core.caching import IndexDataCacheFile
+from doubled import double
+load = IndexDataCacheFile._load_index
+def load_slowly(self):
+    index = load(self)
+    time.sleep(1)  # both processes have the index by then, if it is not locked
+    return index
+IndexDataCacheFile._load_index = load_slowly
+double(int(sys.argv[1]) if sys.argv[1].isdigit() else float(sys.argv[1]))
+"""
+
+
+def test_two_processes_that_compile_one_function_keep_both_versions(tmp_path: Path) -> None:
+    (tmp_path / "doubled.py").write_text(_DOUBLED)
+    command = [sys.executable, "-c", _COMPILED_TOGETHER]
+    processes = [subprocess.Popen([*command, number], cwd=tmp_path) for number in ("3", "0.5")]
+    assert [process.wait(60) for process in processes] == [0, 0]
+    used = "from doubled import double; print(double(3), double(0.5), sum(double.stats.cache_hits.values()))"
+    shown = subprocess.check_output([sys.executable, "-c", used], cwd=tmp_path, text=True)
+    assert shown.split() == ["6", "1.0", "2"]
+
+
 _SCIPY_AFTER = """
 import sys
 from headway_envs.intersection import kernel
