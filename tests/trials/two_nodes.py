@@ -212,6 +212,7 @@ def cluster() -> Iterator[Nodes]:
             "RAY_AUTH_MODE": "token",
             "RAY_AUTH_TOKEN": secrets.token_hex(32),
             "RAY_USAGE_STATS_ENABLED": "0",
+            "RAY_prestart_worker_first_driver": "0",
             **_HEALTH,
         }
         nodes = Nodes(head, node, environment, Path(folder))

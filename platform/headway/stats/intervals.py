@@ -28,12 +28,13 @@ def mean_and_half_width(
 
     Raises ValueError for a confidence outside (0, 1).
     """
-    from scipy import stats  # takes a third of a second: imported only where an interval is computed
+    # The quantile of Student's t; scipy.stats takes thrice as long to import.
+    from scipy.special import stdtrit
 
     check_confidence(confidence)
     count = len(values)
     error = values.std(axis=0, ddof=1) / np.sqrt(count)
-    return values.mean(axis=0), stats.t.ppf((1 + confidence) / 2, count - 1) * error
+    return values.mean(axis=0), stdtrit(count - 1, (1 + confidence) / 2) * error
 
 
 def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:

@@ -69,7 +69,7 @@ _CLUSTER = """
 port=$((20000 + SLURM_JOB_ID % 20000))
 address=${HEADWAY_HEAD_ADDRESS:-$(hostname -I | cut -d ' ' -f 1)}
 RAY_AUTH_TOKEN=$("$python" -c 'import secrets; print(secrets.token_hex(32))')
-export RAY_AUTH_TOKEN RAY_AUTH_MODE=token RAY_USAGE_STATS_ENABLED=0
+export RAY_AUTH_TOKEN RAY_AUTH_MODE=token RAY_USAGE_STATS_ENABLED=0 RAY_prestart_worker_first_driver=0
 folder=$(mktemp -d "${HEADWAY_RAY_TMP:-/tmp}/headway-ray-XXXXXX")
 ray=("$python" -m ray.scripts.scripts start "--num-cpus=$SLURM_CPUS_PER_TASK" --block)
 others=$((SLURM_JOB_NUM_NODES - 1))

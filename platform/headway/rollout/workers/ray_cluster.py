@@ -34,11 +34,13 @@ _SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     "RAY_worker_niceness": "0",
+    "RAY_prestart_worker_first_driver": "0",
 }
 """Environment variables for Ray, unless the user has set them.
 
 No usage statistics are sent. Workers without a GPU keep CUDA_VISIBLE_DEVICES as it is. Workers of a cluster
-started here run at normal priority instead of Ray's niceness of 15.
+started here run at normal priority instead of Ray's niceness of 15, and Ray starts no idle worker per CPU
+beforehand: training needs workers with environment variables of their own.
 """
 
 
