@@ -145,15 +145,7 @@ def measure_here(task: Task) -> Measurement:
             _, *worker_ids = event.process_ids
         if isinstance(event, IterationFinished):
             peak_mb = max([peak_mb, *map(_peak_mb, worker_ids)])
-            row = event.curve[0]
-            records.append(
-                (
-                    time.monotonic(),
-                    event.usage.cpu_seconds,
-                    float(row["time/collect_s"]),
-                    float(row["time/learn_s"]),
-                )
-            )
+            records.append((time.monotonic(), event.usage.cpu_seconds, event.collect_s, event.learn_s))
 
     with tempfile.TemporaryDirectory() as folder:
         job = TrainingJob(

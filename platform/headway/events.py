@@ -1,7 +1,6 @@
 """Events that a training process sends to its session over a pipe. Every record is picklable.
 
-A training process trains one stack of seeds. Tuples described as "one per seed" are in the order of the job's
-`seeds`.
+A training process trains one stack of seeds. Events say how far it is; its rows are in its run folders only.
 """
 
 from collections.abc import Mapping
@@ -49,8 +48,12 @@ class IterationFinished:
     """Environment steps per seed so far."""
     usage: Usage
     """Usage of the training process and its workers."""
-    curve: tuple[Row, ...]
-    """One row per seed: `iteration`, `env_steps`, `wall_s` and metrics by `group/name`."""
+    wall_s: float
+    """Seconds of training so far, earlier sessions included, on the training process's clock."""
+    collect_s: float
+    """Seconds of the iteration spent sampling."""
+    learn_s: float
+    """Seconds of the iteration spent learning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +70,8 @@ class EvaluationFinished:
     """This is the last evaluation, after training."""
     usage: Usage
     """Usage of the training process and its workers."""
-    curve: tuple[Row, ...]
-    """One row per seed: `iteration`, `env_steps`, `wall_s` and means by `evaluation_MODE/name`."""
+    mean_return: float
+    """Mean over the seeds of the return that the curve holds for this evaluation."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,13 +40,12 @@ class JobProgress:
         match event:
             case Started(iteration=iteration):
                 self.status, self.iteration = "training", iteration
-            case IterationFinished(iteration=iteration, env_steps=env_steps, curve=curve):
+            case IterationFinished(iteration=iteration, env_steps=env_steps, wall_s=wall_s):
                 # Measured from the end of the first iteration, which includes start-up and compilation.
                 self.iteration = iteration
-                self._marks.append((float(curve[0]["wall_s"]), iteration, env_steps))
-            case EvaluationFinished(mode=mode, curve=curve) if mode == self.mode:
-                returns = [float(row[f"evaluation_{mode}/return"]) for row in curve]
-                self.evaluation_return = sum(returns) / len(returns)
+                self._marks.append((wall_s, iteration, env_steps))
+            case EvaluationFinished(mode=self.mode, mean_return=mean_return):
+                self.evaluation_return = mean_return
 
     @property
     def name(self) -> str:

@@ -212,9 +212,8 @@ class Trial:
                     self.evaluation_s = now - self.launched - self.start_s
                     self.cpu_start_s = usage.cpu_seconds
                 self.used = usage
-            case IterationFinished(usage=usage, curve=curve):
-                seconds = float(curve[0]["time/collect_s"]) + float(curve[0]["time/learn_s"])
-                self.marks.append((seconds, usage.cpu_seconds - self.used.cpu_seconds))
+            case IterationFinished(usage=usage, collect_s=collect_s, learn_s=learn_s):
+                self.marks.append((collect_s + learn_s, usage.cpu_seconds - self.used.cpu_seconds))
                 self.used = usage
 
     @property

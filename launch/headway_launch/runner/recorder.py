@@ -66,12 +66,10 @@ class JobRecorder:
             case IterationFinished():
                 self.env_steps, self.used = event.env_steps, event.usage
                 # The training process's own clock: events may wait while the session is busy.
-                self._last = (float(event.curve[0]["wall_s"]), event.env_steps)
+                self._last = (event.wall_s, event.env_steps)
                 self._first = self._first or self._last
-                self._log_points(event.curve)
-            case EvaluationFinished(usage=usage, curve=curve):
+            case EvaluationFinished(usage=usage):
                 self.used = usage
-                self._log_points(curve)
             case CheckpointSaved(iteration=iteration):
                 for run in self.runs:
                     run.durable(iteration)
@@ -121,10 +119,6 @@ class JobRecorder:
             return None
         (begin, first), (end, last) = self._first, self._last
         return (last - first) / max(end - begin, 1e-9)
-
-    def _log_points(self, curve: Sequence[Row]) -> None:
-        for run, row in zip(self.runs, curve, strict=True):
-            run.points([row])
 
     def _record_checkpoint(self) -> None:
         """Record the newest checkpoint on disk, which a killed process may not have reported."""

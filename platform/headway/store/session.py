@@ -1,6 +1,6 @@
 """Store interface of the session process: cells and runs, mirrored to MLflow by a background thread."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -219,7 +219,6 @@ class Run:
         self.record = record
         self._store = store
         self._resumed_at = now()
-        self._rows: list[Row] = []
         self._energy = EnergyLog(directory)
         self._sync = RunSync(directory, store.curve_points)
         self._submit(self._sync.begin)
@@ -229,23 +228,14 @@ class Run:
         """Identity of the run in the store."""
         return self.record.run_id
 
-    def points(self, rows: Iterable[Row]) -> None:
-        """Add rows of the learning curve; a thinned copy goes to MLflow once they are durable."""
-        self._rows.extend(rows)
-
     def durable(self, iteration: int) -> None:
         """Record that the training process has made everything up to `iteration` durable.
 
-        Raises HeadwayError if the record cannot be written.
+        A thinned copy of the curve up to there goes to MLflow. Raises HeadwayError if the record cannot be
+        written or the log cannot be read.
         """
-        ready = [row for row in self._rows if int(row.get("iteration", 0)) <= iteration]
-        self._rows = [row for row in self._rows if int(row.get("iteration", 0)) > iteration]
-        durable_rows = ready
-        if iteration and all(int(row.get("iteration", 0)) < iteration for row in ready):
-            # An earlier session was killed after the checkpoint, before it received the rows: read the log.
-            logged = read_rows(self.directory, "curve")
-            durable_rows = [row for row in logged if int(row.get("iteration", 0)) <= iteration]
-        env_steps = [int(row["env_steps"]) for row in durable_rows if "env_steps" in row]
+        logged = read_rows(self.directory, "curve", after=self.record.durable_iteration)
+        env_steps = [int(row["env_steps"]) for row in logged if int(row["iteration"]) <= iteration]
         self.record = replace(
             self.record,
             durable_iteration=iteration,
@@ -253,7 +243,7 @@ class Run:
         )
         self.record.write(self.directory)
         self._energy.write_if_due()
-        self._submit(lambda tracker: self._sync.advance(tracker, ready, iteration))
+        self._submit(lambda tracker: self._sync.advance(tracker, iteration))
 
     def note_restart(self, iteration: int) -> None:
         """Tag the run as resumed without snapshots, with new episodes after `iteration`.

@@ -175,10 +175,11 @@ class _Training:
     def _iterate(self, total: int) -> None:
         done = self.mode.iterate(self.iteration + 1, self.iteration / total)
         self.iteration += 1
-        seconds = {"time/collect_s": done.collect_s, "time/learn_s": done.learn_s}
-        rows = self._with_labels(self._training_rows(done.metrics, done.episodes, seconds))
+        times = {"time/collect_s": done.collect_s, "time/learn_s": done.learn_s}
+        rows = self._with_labels(self._training_rows(done.metrics, done.episodes, times))
         self._log_episodes(done.episodes)
-        self.report(IterationFinished(self.iteration, self.env_steps, self._usage(), tuple(rows)))
+        at = self.iteration, self.env_steps
+        self.report(IterationFinished(*at, self._usage(), self._wall_s(), done.collect_s, done.learn_s))
         due = self.iteration == total or self._passed_multiple_of(self.config.evaluation.every)
         self._write_curve(rows, self._evaluate(final=self.iteration == total) if due else None)
 
@@ -204,7 +205,7 @@ class _Training:
         label = {
             "iteration": self.iteration,
             "env_steps": self.env_steps,
-            "wall_s": self.seconds_before + time.monotonic() - self.started,
+            "wall_s": self._wall_s(),
         }
         return [{**label, **row} for row in rows]
 
@@ -215,17 +216,16 @@ class _Training:
         means: list[dict[str, float | int | str]] = [{} for _ in self.job.seeds]
         for mode in evaluation.modes:
             episodes = self.backend.evaluate(evaluation.seed, count, mode == "greedy", parameters)
-            curve = []
+            returns = []
             for log, mean, played in zip(self.logs, means, episodes, strict=True):
                 label = {"iteration": self.iteration, "env_steps": self.env_steps, "mode": mode}
                 log.append("evaluation", [{**label, "final": int(final), **row} for row in played])
                 # Every point of a curve is a mean over the same episodes; the last evaluation has more.
                 mode_means = _episode_means(f"evaluation_{mode}", played[: evaluation.episodes])
                 mean.update(mode_means)
-                curve.append(self._with_labels([mode_means])[0])
-            self.report(
-                EvaluationFinished(self.iteration, self.env_steps, mode, final, self._usage(), tuple(curve))
-            )
+                returns.append(float(mode_means[f"evaluation_{mode}/return"]))
+            shown = float(np.mean(returns))
+            self.report(EvaluationFinished(self.iteration, self.env_steps, mode, final, self._usage(), shown))
         return means
 
     def _write_curve(
@@ -259,7 +259,7 @@ class _Training:
             "acting": self.learner.acting_parameters(),
             "snapshots": self.backend.snapshot(),
             "iteration": self.iteration,
-            "seconds": self.seconds_before + time.monotonic() - self.started,
+            "seconds": self._wall_s(),
             "has_experience": replay is not None,
         }
         for log in self.logs:
@@ -300,6 +300,10 @@ class _Training:
             )
         for log in self.logs:
             log.rewind(iteration)
+
+    def _wall_s(self) -> float:
+        """Seconds of training so far, earlier sessions included."""
+        return self.seconds_before + time.monotonic() - self.started
 
     def _usage(self) -> Usage:
         return self.own_usage.read() + self.backend.usage()

@@ -13,14 +13,11 @@ from headway_launch.console.progress_display import CountedProgress, Progress
 
 
 def at(iteration: int, seconds_each: float = 2.0) -> IterationFinished:
-    steps = 1000 * iteration
-    row = {"iteration": iteration, "env_steps": steps, "wall_s": seconds_each * iteration}
-    return IterationFinished(iteration, steps, Usage(), (row,))
+    return IterationFinished(iteration, 1000 * iteration, Usage(), seconds_each * iteration, 1.0, 0.5)
 
 
 def evaluated(value: float) -> EvaluationFinished:
-    row = {"wall_s": 0.0, "evaluation_greedy/return": value}
-    return EvaluationFinished(0, 0, "greedy", False, Usage(), (row,))
+    return EvaluationFinished(0, 0, "greedy", False, Usage(), value)
 
 
 def job(seed: int, label: str = "ippo", iterations: int = 0, seconds_each: float = 2.0) -> JobProgress:

@@ -31,7 +31,7 @@ def train(recording: JobRecorder, iterations: int) -> None:
             log = RunLog(run.directory)
             log.append("curve", [evaluated])
             log.commit(iteration)
-        recording.take(IterationFinished(iteration, STEPS * iteration, Usage(), (row,) * 2))
+        recording.take(IterationFinished(iteration, STEPS * iteration, Usage(), 1.0 * iteration, 0.5, 0.5))
 
 
 @pytest.mark.parametrize("last", [Finished(8, stopped=True), Failed("it broke", "")])

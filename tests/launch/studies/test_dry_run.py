@@ -169,12 +169,11 @@ def test_iterations_are_measured_without_the_evaluations_between_them() -> None:
     trial = Trial("a cell", launched=time.monotonic())
     spent = 5.0
     trial.take(Started(0, (), False))
-    trial.take(EvaluationFinished(0, 0, "greedy", False, Usage(spent, 0), ()))
+    trial.take(EvaluationFinished(0, 0, "greedy", False, Usage(spent, 0), 0.0))
     for iteration in (1, 2, 3):
         spent += 1.0
-        rows = ({"time/collect_s": 0.75, "time/learn_s": 0.25},)
-        trial.take(IterationFinished(iteration, 100 * iteration, Usage(spent, 0), rows))
+        trial.take(IterationFinished(iteration, 100 * iteration, Usage(spent, 0), spent, 0.75, 0.25))
         spent += 2.0
-        trial.take(EvaluationFinished(iteration, 100 * iteration, "greedy", False, Usage(spent, 0), ()))
+        trial.take(EvaluationFinished(iteration, 100 * iteration, "greedy", False, Usage(spent, 0), 0.0))
     pace = trial.pace(None, None)
     assert (pace.iteration_s, pace.cpu_iteration_s, pace.cpu_start_s, pace.iterations) == (1.0, 1.0, 5.0, 2)

@@ -57,7 +57,6 @@ def _train(run: Run, first: int, last: int) -> None:
     log = RunLog(run.directory)
     for iteration in range(first, last + 1):
         log.append("curve", [_row(iteration)])
-        run.points([_row(iteration)])
         if iteration % 10 == 0:
             log.commit(iteration)
             save_checkpoint(run.directory / "checkpoints", iteration, {"at": iteration})
@@ -120,8 +119,7 @@ def test_a_run_from_beginning_to_end(root: Path) -> None:
     assert curve[-1] == (4000, 40.0)
 
 
-def test_env_steps_of_an_unrecorded_checkpoint_come_from_the_log(root: Path) -> None:
-    """The session was killed before it received the rows; the next one has nothing left to train."""
+def test_durable_env_steps_come_from_the_log(root: Path) -> None:
     store = SessionStore.open(StoreConfig(root=str(root)))
     run = _begin(store)
     log = RunLog(run.directory)
@@ -326,12 +324,11 @@ _ONE_OF_FOUR = """
 import sys, time
 root, folder, seed, moment = sys.argv[1:]
 sys.path.insert(0, folder)
-from test_session import StoreConfig, SessionStore, _begin, _row
+from test_session import StoreConfig, SessionStore, _begin, _train
 time.sleep(max(0.0, float(moment) - time.time()))
 store = SessionStore.open(StoreConfig(root=root))
 run = _begin(store, int(seed))
-run.points([_row(1)])
-run.durable(1)
+_train(run, 1, 10)
 run.finish("FINISHED", {"final_reward": float(seed)})
 rows, notices = store.index.rows(), store.close()
 sys.exit(str(notices) if notices or not rows else 0)
@@ -353,7 +350,7 @@ def test_four_sessions_can_open_a_new_store_together(tmp_path: Path) -> None:
     found = client.search_runs(["1"])
     assert len(found) == 5
     points = sorted(len(client.get_metric_history(run.info.run_id, "train/reward")) for run in found)
-    assert points == [0, 1, 1, 1, 1]
+    assert points == [0, 10, 10, 10, 10]
 
 
 _KILLED = """

@@ -105,7 +105,7 @@ def test_the_last_point_of_a_curve_is_the_mean_of_the_same_episodes_as_the_other
         ("sampled", 1, day) for day in range(3)
     ]
     expected = np.mean([row["return"] for row in played[:2]])
-    assert last.curve[0]["evaluation_sampled/return"] == expected
+    assert last.mean_return == expected
     assert read_rows(Path(job.directories[0]), "curve")[-1]["evaluation_sampled/return"] == expected
 
 

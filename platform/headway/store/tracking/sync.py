@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from headway.contracts import HeadwayError
-from headway.events import Row
 from headway.store.atomic_files import locked, read_json, write_json
 from headway.store.checkpoint import latest_iteration
 from headway.store.parquet_log import read_rows
@@ -47,6 +46,8 @@ class RunSync:
         self._curve_points = curve_points
         self._record = RunRecord.read(directory)
         self._curve = ThinnedCurve(self._record.iterations, curve_points)
+        self._sent_iteration = -1
+        """Iteration up to which the curve has been sent."""
         self._child = ""
         """MLflow's identity of the run; empty before `begin` and after a failure."""
 
@@ -56,7 +57,7 @@ class RunSync:
         `running`: set the status of its cell's parent run to RUNNING.
         """
         self._record = record = RunRecord.read(self.directory)
-        self._curve = ThinnedCurve(record.iterations, self._curve_points)
+        self._curve, self._sent_iteration = ThinnedCurve(record.iterations, self._curve_points), -1
         experiment, parent = tracker.cell(
             record.study, record.cell, record.parameters, _cell_tags(record), running
         )
@@ -66,11 +67,7 @@ class RunSync:
         state = {"uri": tracker.uri, "experiment": experiment, "parent": parent, "run": child}
         write_json(_state_file(self.directory, tracker.uri, tracker.local), state | {"complete": False})
         iteration = _durable_iteration(self.directory, record)
-        curve = read_rows(self.directory, "curve")
-        rows = [row for row in curve if int(row.get("iteration", 0)) <= iteration]
-        if rows:
-            self._curve.add(rows)
-            tracker.points(child, record.started, self._curve.take(iteration, tracker.sent_steps(child)))
+        self._send_curve(tracker, child, iteration, tracker.sent_steps(child))
         self._child = child
 
     def reset(self) -> None:
@@ -84,13 +81,12 @@ class RunSync:
         if ended:
             self.complete(tracker)
 
-    def advance(self, tracker: Tracker, rows: Iterable[Row], iteration: int) -> None:
-        """Add new rows and send the points up to `iteration`, the last one durable in the run's log."""
-        if not self._child:
+    def advance(self, tracker: Tracker, iteration: int) -> None:
+        """Send the new points of the curve up to `iteration`, the last one durable in the run's log."""
+        if self._child:
+            self._send_curve(tracker, self._child, iteration)
+        else:
             self.begin(tracker)
-            return
-        self._curve.add(rows)
-        tracker.points(self._child, self._record.started, self._curve.take(iteration))
 
     def tag(self, tracker: Tracker, name: str, text: str) -> None:
         """Set a tag of the run."""
@@ -110,6 +106,15 @@ class RunSync:
         tracker.finish(self._child, status, record.ended or now(), summary, files)
         path = _state_file(self.directory, tracker.uri, tracker.local)
         write_json(path, read_json(path) | {"complete": _end_state(record)})
+
+    def _send_curve(
+        self, tracker: Tracker, child: str, iteration: int, sent: Mapping[str, frozenset[int]] | None = None
+    ) -> None:
+        """Send the points up to `iteration` that are new in the log, except at the steps in `sent`."""
+        rows = read_rows(self.directory, "curve", after=self._sent_iteration)
+        durable = [row for row in rows if self._sent_iteration < int(row["iteration"]) <= iteration]
+        tracker.points(child, self._record.started, self._curve.points(durable, sent or {}))
+        self._sent_iteration = max(self._sent_iteration, iteration)
 
 
 def sync(root: Path, tracking_uri: str | None = None) -> tuple[str, ...]:

@@ -29,29 +29,22 @@ class ThinnedCurve:
         self._iterations = max(iterations, 1)
         self._intervals = points - 1
         self._last_interval: dict[str, int] = {}
-        self._waiting: list[Row] = []
 
-    def add(self, rows: Iterable[Row]) -> None:
-        """Add rows (`iteration`, `env_steps`, `wall_s`, metrics) in the order of their iterations.
+    def points(self, rows: Iterable[Row], sent: Mapping[str, frozenset[int]]) -> list[Point]:
+        """Return the points of further rows, except at the steps in `sent`, by metric.
 
-        Metrics are the columns named `group/name`.
+        Rows (`iteration`, `env_steps`, `wall_s`, metrics) come in the order of their iterations. Metrics are
+        the columns named `group/name`.
         """
-        self._waiting.extend(rows)
-
-    def take(self, iteration: int, sent: Mapping[str, frozenset[int]] | None = None) -> list[Point]:
-        """Remove and return the points up to `iteration`, except at the steps in `sent`, by metric."""
-        ready = [row for row in self._waiting if int(row.get("iteration", 0)) <= iteration]
-        self._waiting = [row for row in self._waiting if int(row.get("iteration", 0)) > iteration]
-        excluded = sent or {}
         return [
             point
-            for row in ready
+            for row in rows
             for point in self._kept(row)
-            if point.step not in excluded.get(point.metric, frozenset())
+            if point.step not in sent.get(point.metric, frozenset())
         ]
 
     def _kept(self, row: Row) -> list[Point]:
-        iteration = int(row.get("iteration", 0))
+        iteration = int(row["iteration"])
         interval = iteration * self._intervals // self._iterations
         points = []
         for metric, value in row.items():
@@ -60,6 +53,6 @@ class ThinnedCurve:
             if self._last_interval.get(metric, -1) >= interval:
                 continue
             self._last_interval[metric] = interval
-            step, wall_s = int(row.get("env_steps", iteration)), float(row.get("wall_s", 0.0))
+            step, wall_s = int(row["env_steps"]), float(row["wall_s"])
             points.append(Point(metric, float(value), step, wall_s))
         return points

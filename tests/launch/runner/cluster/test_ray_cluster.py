@@ -317,7 +317,8 @@ def test_resource_use_on_another_machine_is_not_counted_here() -> None:
 
     used = Usage(3.0, 5)
     assert without_usage(Started(2, (7, 8))) == Started(2, ())
-    assert without_usage(IterationFinished(1, 2, used, ())) == IterationFinished(1, 2, Usage(), ())
+    times = 9.0, 4.0, 5.0
+    assert without_usage(IterationFinished(1, 2, used, *times)) == IterationFinished(1, 2, Usage(), *times)
     assert without_usage(Finished(1, False, used, 2.0)) == Finished(1, False, Usage(), 2.0)
     assert without_usage(CheckpointSaved(4)) == CheckpointSaved(4)
 

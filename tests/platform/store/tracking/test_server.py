@@ -112,7 +112,6 @@ def train(run: Run, first: int, last: int) -> None:
     for iteration in range(first, last + 1):
         row = {"iteration": iteration, "env_steps": 100 * iteration, "wall_s": 0.5 * iteration}
         log.append("curve", [{**row, "train/reward": float(iteration)}])
-        run.points([{**row, "train/reward": float(iteration)}])
     log.commit(last)
     save_checkpoint(run.directory / "checkpoints", last, {"at": last})
     run.durable(last)
