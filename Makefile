@@ -15,7 +15,7 @@ COMPILED := envs/headway_envs/__pycache__/.compiled
 KERNELS := $(wildcard platform/headway/contracts/numba_setup.py algos/headway_algos/kernels/*.py \
 	envs/headway_envs/*.py envs/headway_envs/*/kernel.py envs/headway_envs/*/kernel/*.py)
 SOURCES := platform envs algos launch tests
-# A sixth of the installed files; pip would compile all of them, in a minute.
+# What runs import, a sixth of what is installed: compiled once for all processes. pip would compile everything.
 IMPORTED := import codecarbon, hydra, matplotlib.pyplot, mlflow.tracking, pandas, pyarrow.parquet, rich, scipy.stats, supersuit, torch
 # Side by side, one file of tests in one process, long files first (tests/conftest.py); ARGS="-n 0" tests in this one, where a debugger works.
 PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
@@ -36,11 +36,12 @@ $(STAMP): pyproject.toml constraints.txt
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
 		{ echo "make: $(PYTHON) is not Python 3.11; give one: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet -c constraints.txt --upgrade pip # Python 3.11's own takes twice as long
 	$(BIN)/python -m pip install --quiet --no-compile $(PIP_ARGS) -c constraints.txt -e ".[dev,sumo]"
-	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -c "$(IMPORTED)"
 	@touch $@
 
 $(COMPILED): $(STAMP) $(KERNELS)
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -c "$(IMPORTED)"
 	@$(BIN)/python -m headway_launch.runner.warm_up
 	@mkdir -p $(@D) && touch $@
 
