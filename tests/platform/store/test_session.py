@@ -44,7 +44,7 @@ def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _row(iteration: int) -> Row:
     steps = {"iteration": iteration, "env_steps": 100 * iteration, "wall_s": 0.5 * iteration}
-    return {**steps, "train/reward": float(iteration), "train/loss": 1.0 / iteration}
+    return {**steps, "train/reward": float(iteration), "train/loss": 1.0 / (1 + iteration)}
 
 
 def _begin(store: SessionStore, seed: int = 0, algorithm: str = "mappo") -> Run:
@@ -57,7 +57,7 @@ def _train(run: Run, first: int, last: int) -> None:
     log = RunLog(run.directory)
     for iteration in range(first, last + 1):
         log.append("curve", [_row(iteration)])
-        if iteration % 10 == 0:
+        if iteration and iteration % 10 == 0:
             log.commit(iteration)
             save_checkpoint(run.directory / "checkpoints", iteration, {"at": iteration})
             run.durable(iteration)
@@ -135,9 +135,9 @@ def test_durable_env_steps_come_from_the_log(root: Path) -> None:
 def test_only_durable_points_reach_mlflow(root: Path) -> None:
     store = SessionStore.open(StoreConfig(root=str(root)))
     run = _begin(store)
-    _train(run, 1, 25)
+    _train(run, 0, 25)
     store.close()
-    assert [step for step, _ in _histories(root, run)["train/reward"]] == [100 * i for i in range(1, 21)]
+    assert [step for step, _ in _histories(root, run)["train/reward"]] == [100 * i for i in range(21)]
     assert (run.record.durable_iteration, run.record.durable_env_steps) == (20, 2000)
 
 
@@ -145,7 +145,7 @@ def test_a_resumed_run_sends_each_point_once(root: Path) -> None:
     config = StoreConfig(root=str(root))
     first = SessionStore.open(config)
     run = _begin(first)
-    _train(run, 1, 25)
+    _train(run, 0, 25)
     run.energy({"kwh": 0.25})
     run.finish("KILLED", {"final_reward": 0.5})
     first.close()
@@ -158,7 +158,7 @@ def test_a_resumed_run_sends_each_point_once(root: Path) -> None:
     _train(resumed, 21, ITERATIONS)
     resumed.finish("FINISHED", {"final_reward": 1.0})
     assert second.close() == ()
-    expected = [(100 * i, float(i)) for i in range(1, ITERATIONS + 1)]
+    expected = [(100 * i, float(i)) for i in range(ITERATIONS + 1)]
     assert _histories(root, run)["train/reward"] == expected
     # The summary of the killed run was not sent: it is not the result.
     assert _histories(root, run)["summary/final_reward"] == [(0, 1.0)]

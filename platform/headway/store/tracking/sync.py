@@ -113,8 +113,9 @@ class RunSync:
         """Send the points up to `iteration` that are new in the log, except at the steps in `sent`."""
         rows = read_rows(self.directory, "curve", after=self._sent_iteration)
         durable = [row for row in rows if self._sent_iteration < int(row["iteration"]) <= iteration]
-        tracker.points(child, self._record.started, self._curve.points(durable, sent or {}))
-        self._sent_iteration = max(self._sent_iteration, iteration)
+        if durable:
+            tracker.points(child, self._record.started, self._curve.points(durable, sent or {}))
+            self._sent_iteration = int(durable[-1]["iteration"])
 
 
 def sync(root: Path, tracking_uri: str | None = None) -> tuple[str, ...]:
