@@ -123,6 +123,7 @@ def measure(tasks: Sequence[Task]) -> list[Measurement]:
 
 def measure_here(task: Task) -> Measurement:
     """Run a task in this process."""
+    from headway.rollout.plan import RolloutPlan
     from headway.training.loop import TrainingJob, train
 
     entry, algo = env_entry(task.env), algo_entry(task.algo)
@@ -148,17 +149,15 @@ def measure_here(task: Task) -> Measurement:
             records.append((time.monotonic(), event.usage.cpu_seconds, event.collect_s, event.learn_s))
 
     with tempfile.TemporaryDirectory() as folder:
+        algo_config: Any = build(algo.record_for(task.algo_args), task.algo_args)
+        spec = make(prepared, 1).spec.for_policies
+        policy, preload = algo.acting_policy(algo_config, spec), (*entry.preload, *algo.kernels)
         job = TrainingJob(
-            make_env=make,
-            preload=(*entry.preload, *algo.kernels),
-            prepared=prepared,
-            spec=make(prepared, 1).spec.for_policies,
-            make_policy=algo.acting_policy,
-            make_learner=algo.learner,
-            algo_config=build(algo.record_for(task.algo_args), task.algo_args),
-            seeds=seeds,
-            config=config,
-            workers=task.workers,
+            RolloutPlan.of(config.rollout, make, preload, prepared, spec, policy, seeds),
+            algo.learner,
+            algo_config,
+            config,
+            task.workers,
             directories=tuple(str(Path(folder, str(seed))) for seed in seeds),
             make_contributor=algo.contributor,
             contributor_preload=algo.preload,

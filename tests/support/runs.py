@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,8 +16,9 @@ from headway.config.experiment import (
     RolloutConfig,
     StoreConfig,
 )
-from headway.contracts import BatchedEnv
+from headway.contracts import AlgoEntry, BatchedEnv
 from headway.events import Event, Finished, Row
+from headway.rollout.plan import RolloutPlan
 from headway.store.parquet_log import TABLES, Table, read_rows
 from headway.training.loop import TrainingJob, train
 from headway_algos.config import ModelConfig
@@ -49,27 +51,35 @@ def job_of(
     make, prepared = env
     with closing(make(prepared, 1)) as one:
         spec = one.spec.for_policies
+    rollout, policy = RolloutConfig(COPIES, STEPS, block), ENTRIES["ippo"].acting_policy(algo, spec)
     return TrainingJob(
-        make_env=make,
-        preload=(),
-        prepared=prepared,
-        spec=spec,
-        make_policy=ENTRIES["ippo"].acting_policy,
-        make_learner=ENTRIES["ippo"].learner,
-        algo_config=algo,
-        seeds=tuple(seeds),
-        config=ExperimentConfig(
+        RolloutPlan.of(rollout, make, (), prepared, spec, policy, tuple(seeds)),
+        ENTRIES["ippo"].learner,
+        algo,
+        ExperimentConfig(
             seed=tuple(seeds),
             env_steps=iterations * COPIES * STEPS,
             device="cpu",
-            rollout=RolloutConfig(COPIES, STEPS, block),
+            rollout=rollout,
             backend=BackendConfig(backend),
             evaluation=EvaluationConfig(episodes=2, every=2 * COPIES * STEPS, final_episodes=3),
             store=StoreConfig(checkpoint_every=checkpoint_every),
         ),
-        workers=workers,
+        workers,
         directories=tuple(str(folder / str(seed)) for seed in seeds),
         resume=resume,
+    )
+
+
+def with_algorithm(job: TrainingJob, entry: AlgoEntry, config: object) -> TrainingJob:
+    """Return `job` with another algorithm."""
+    return replace(
+        job,
+        plan=replace(job.plan, policy=entry.acting_policy(config, job.spec)),
+        make_learner=entry.learner,
+        algo_config=config,
+        make_contributor=entry.contributor,
+        contributor_preload=entry.preload,
     )
 
 

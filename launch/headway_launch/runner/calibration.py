@@ -313,5 +313,9 @@ def _training_job(job: PlannedJob, shares: CoreShares, folder: Path) -> "Trainin
     directories = [folder / str(seed) for seed in job.seeds]
     for directory in directories:
         directory.mkdir(parents=True)
-    config = replace(job.config, store=store)
-    return job.training_job(config, workers_of(job, shares), directories)
+    return replace(
+        job.training,
+        config=replace(job.config, store=store),
+        workers=workers_of(job, shares),
+        directories=tuple(map(str, directories)),
+    )

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 
@@ -75,10 +76,13 @@ class SessionCell:
 
     def training_job(self, planned: PlannedJob, runs: Sequence[Run], shares: CoreShares) -> TrainingJob:
         """Return the work of a job's training process."""
-        directories = [run.directory for run in runs]
-        resume = bool(planned.resumed) and any(_has_checkpoint(directory) for directory in directories)
-        gates = [run.gate for run in runs]
-        return planned.training_job(planned.config, workers_of(planned, shares), directories, gates, resume)
+        return replace(
+            planned.training,
+            workers=workers_of(planned, shares),
+            directories=tuple(str(run.directory) for run in runs),
+            gates=tuple(str(run.gate) for run in runs),
+            resume=bool(planned.resumed) and any(_has_checkpoint(run.directory) for run in runs),
+        )
 
     def play_rules(self, played: dict[str, Rules]) -> None:
         """Play the rules on the finished seeds' evaluation episodes and store the results.
@@ -107,7 +111,7 @@ class SessionCell:
 
         jobs, rules, seed = self.plan.jobs, self.experiment.rules, self.config.evaluation.seed
         print_line(f"{counted(len(rules), 'rule')} to play, {counted(episodes, 'episode')} each")
-        prepared = jobs[0].prepared if jobs else self.experiment.prepare().prepared
+        prepared = jobs[0].training.plan.prepared if jobs else self.experiment.prepare().prepared
         with CountedProgress("episodes played", len(rules) * episodes) as progress:
             played = rule_episodes(self.experiment, prepared, rules, seed, episodes, progress)
         return {rule: [{**row, _EVALUATION_SEED: seed} for row in rows] for rule, rows in played.items()}

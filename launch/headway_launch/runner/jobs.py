@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import gcd
 from pathlib import Path
-from typing import Any
+from typing import Self
 
 from headway.config.experiment import ExperimentConfig, RolloutConfig
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
-from headway.rollout.plan import copies_limit_text, within_limit
+from headway.rollout.plan import RolloutPlan, copies_limit_text, within_limit
 from headway.store.atomic_files import make_folder
 from headway.training.loop import TrainingJob
 from headway.wording import counted
@@ -30,15 +30,9 @@ class PlannedJob:
 
     experiment: Experiment
     """The experiment as it was requested and is stored."""
-    config: ExperimentConfig
-    """The configuration as trained, with blocks and workers adjusted by `within_processes`."""
-    prepared: Any
-    """Result of `EnvEntry.prepare`; shared by all jobs of an experiment."""
-    training_prepared: Any
-    """Result of `EnvEntry.prepare` for the training environment."""
-    spec: EnvSpec
-    """Spec of the training environment, with actions in the units of the policies."""
-    seeds: tuple[int, ...]
+    training: TrainingJob
+    """The work of its training process, without run folders and workers; blocks as `within_processes` sets
+    them."""
     resumed: tuple[str, ...] = ()
     """Identities of the runs to resume, one per seed; empty for new runs."""
     iteration: int = 0
@@ -46,38 +40,51 @@ class PlannedJob:
     workers: int | None = None
     """Number of rollout workers in its checkpoint; None for a new job, which takes its share of the cores."""
 
-    def training_job(
-        self,
+    @classmethod
+    def of(
+        cls,
+        experiment: Experiment,
         config: ExperimentConfig,
-        workers: int,
-        directories: Sequence[Path],
-        gates: Sequence[Path] = (),
-        resume: bool = False,
-    ) -> TrainingJob:
-        """Return the work of the training process.
-
-        `config` is the configuration as trained on this machine; `directories` has a run folder per seed and
-        `gates`, for stored runs, a gate per seed.
-        """
-        experiment = self.experiment
-        return TrainingJob(
-            make_env=experiment.env.make,
-            preload=(*experiment.env.preload, *experiment.algo.kernels),
-            prepared=self.prepared,
-            spec=self.spec,
-            make_policy=experiment.algo.acting_policy,
-            make_learner=experiment.algo.learner,
-            algo_config=experiment.algo_config,
-            seeds=self.seeds,
-            config=replace(config, seed=self.seeds),
-            workers=workers,
-            directories=tuple(str(directory) for directory in directories),
-            gates=tuple(str(gate) for gate in gates),
-            resume=resume,
-            training_prepared=self.training_prepared,
-            make_contributor=experiment.algo.contributor,
-            contributor_preload=experiment.algo.preload,
+        environment: PreparedEnv,
+        spec: EnvSpec,
+        seeds: tuple[int, ...],
+    ) -> Self:
+        """Return a new job that trains `seeds` by `config`; `spec` has actions in the units of the policies."""
+        entry, algo = experiment.env, experiment.algo
+        plan = RolloutPlan.of(
+            config.rollout,
+            entry.make,
+            (*entry.preload, *algo.kernels),
+            environment.prepared,
+            spec,
+            algo.acting_policy(experiment.algo_config, spec),
+            seeds,
+            environment.training,
         )
+        training = TrainingJob(
+            plan,
+            algo.learner,
+            experiment.algo_config,
+            replace(config, seed=seeds),
+            make_contributor=algo.contributor,
+            contributor_preload=algo.preload,
+        )
+        return cls(experiment, training)
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Seeds of the stack."""
+        return self.training.seeds
+
+    @property
+    def config(self) -> ExperimentConfig:
+        """The configuration as trained, of these seeds."""
+        return self.training.config
+
+    @property
+    def spec(self) -> EnvSpec:
+        """Spec of the training environment, with actions in the units of the policies."""
+        return self.training.spec
 
 
 @dataclass(frozen=True)
@@ -120,11 +127,10 @@ def new_jobs(
         _print_workers(config.rollout, experiment.algo_name)
     stack = config.backend.stack
     return tuple(
-        PlannedJob(
+        PlannedJob.of(
             experiment,
             config,
-            environment.prepared,
-            environment.training,
+            environment,
             environment.spec.for_policies,
             tuple(seeds[first : first + stack]),
         )

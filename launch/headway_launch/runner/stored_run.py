@@ -135,17 +135,6 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
         config = experiment.config
         if planned.block is not None:
             config = replace(config, rollout=replace(config.rollout, block=planned.block))
-        jobs.append(
-            PlannedJob(
-                experiment,
-                config,
-                environment.prepared,
-                environment.training,
-                planned.policy_spec(environment),
-                stack,
-                run_ids,
-                iteration,
-                planned.workers,
-            )
-        )
+        job = PlannedJob.of(experiment, config, environment, planned.policy_spec(environment), stack)
+        jobs.append(replace(job, resumed=run_ids, iteration=iteration, workers=planned.workers))
     return tuple(jobs)

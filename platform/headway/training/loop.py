@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from headway.config.experiment import ExperimentConfig
 from headway.contracts import (
     AsynchronousLearner,
-    BatchedEnv,
     EnvSpec,
     HeadwayError,
     Learner,
     LearnerWithReplay,
 )
-from headway.contracts.acting_policy import ActingPolicy
 from headway.events import (
     LABELS,
     CheckpointSaved,
@@ -56,34 +54,35 @@ from headway.training.modes import AsynchronousMode, Mode, SynchronousMode
 class TrainingJob:
     """One stack of seeds to train in one process. Picklable."""
 
-    make_env: Callable[[Any, int], BatchedEnv]
-    """The environment entry's `make`."""
-    preload: tuple[str, ...]
-    """The environment entry's `preload`."""
-    prepared: Any
-    """Result of the environment entry's `prepare` for the evaluation environment."""
-    spec: EnvSpec
-    """Specification of the training environment, with actions in the units of the policies."""
-    make_policy: Callable[[Any, EnvSpec], ActingPolicy]
-    """The algorithm entry's `acting_policy`."""
+    plan: RolloutPlan
+    """Environment, policy, seeds and sizes of the rollouts."""
     make_learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner]
     """The algorithm entry's `learner`."""
     algo_config: Any
-    seeds: tuple[int, ...]
     config: ExperimentConfig
-    workers: int
-    directories: tuple[str, ...]
-    """Run folders, one per seed."""
+    """The configuration as trained; its seeds are those of `plan`."""
+    workers: int = 1
+    """Rollout workers."""
+    directories: tuple[str, ...] = ()
+    """Run folders, one per seed; empty before they exist."""
     gates: tuple[str, ...] = ()
     """Gates through which the run folders are written, one per seed (see `headway.store.fencing`); empty: no
     gates."""
     resume: bool = False
-    training_prepared: Any = None
-    """Result of `prepare` for the training environment; None: same as `prepared`."""
     make_contributor: MakeContributor | None = None
     """The algorithm entry's `contributor`; None: training is synchronous."""
     contributor_preload: tuple[str, ...] = ()
     """The algorithm entry's `preload`."""
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Seeds of the stack."""
+        return self.plan.seeds
+
+    @property
+    def spec(self) -> EnvSpec:
+        """Specification of the training environment, with actions in the units of the policies."""
+        return self.plan.spec
 
     @property
     def checkpoints(self) -> tuple[Path, ...]:
@@ -94,14 +93,6 @@ class TrainingJob:
     def gate_paths(self) -> tuple[Path | None, ...]:
         """Paths of the gates, one per seed; None for a seed without a gate."""
         return tuple(map(Path, self.gates)) or (None,) * len(self.directories)
-
-    def plan(self) -> RolloutPlan:
-        """Return the job's rollout plan."""
-        policy = self.make_policy(self.algo_config, self.spec)
-        return RolloutPlan.of(
-            self.config.rollout, self.make_env, self.preload, self.prepared, self.spec, policy, self.seeds,
-            self.training_prepared,
-        )  # fmt: skip
 
 
 def train(job: TrainingJob, report: Callable[[Event], None], should_stop: Callable[[], bool]) -> None:
@@ -278,9 +269,8 @@ class _Training:
         iteration, state, notices = load_for_resume(*self.job.checkpoints)
         for line in notices:
             self.report(Notice(line))
-        job, policy = self.job, self.job.make_policy(self.job.algo_config, self.job.spec)
-        folder = Path(job.directories[0])
-        require_same_shapes(state["acting"], policy, len(job.seeds), self.config.env.id, folder)
+        job, folder = self.job, Path(self.job.directories[0])
+        require_same_shapes(state["acting"], job.plan.policy, len(job.seeds), self.config.env.id, folder)
         self.iteration = self.saved_iteration = iteration
         self.seconds_before = state["seconds"]
         self.learner.load_state_dict(state["learner"])
@@ -314,7 +304,7 @@ def _open_mode(job: TrainingJob, learner: Learner, notify: Callable[[str], None]
 
     Raises HeadwayError if the algorithm's contributor and learner do not match.
     """
-    backend, plan = job.config.backend, job.plan()
+    backend, plan = job.config.backend, job.plan
     if job.make_contributor is None:
         collector = open_collector(backend, plan, job.workers, notify)
         return collector, SynchronousMode(learner, collector)

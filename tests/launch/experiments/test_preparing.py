@@ -1,6 +1,7 @@
 """Training and evaluation environments are prepared together and share their data."""
 
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from headway_envs.bus.prepare import prepare
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.tables import Tables
 from headway_launch.experiments.compose import compose
-from headway_launch.runner.jobs import plan_jobs
+from headway_launch.runner.jobs import PlannedJob, plan_jobs
 
 BUS = ["env=bus", "preset=none", "algo=ippo", "seed=0..2"]
 OWN = "env.training_args.reward.scope=own"
@@ -37,12 +38,12 @@ def test_a_scenario_is_generated_once(generated: list[tuple[str, int]], others: 
     jobs = plan_jobs(compose([*BUS, *others]))
     assert generated == [("line", 0)]
     for job in jobs:
-        reported, learned = (_inner(each) for each in (job.prepared, job.training_prepared))
+        reported, learned = (_inner(each) for each in _prepared(job))
         assert reported.network is learned.network
         assert reported.config.reward.scope == "team"
         assert learned.config.reward.scope == ("own" if OWN in others else "team")
     # Sharing survives the pickling for a training process.
-    prepared, training = pickle.loads(pickle.dumps((jobs[0].prepared, jobs[0].training_prepared)))
+    prepared, training = pickle.loads(pickle.dumps(_prepared(jobs[0])))
     assert _inner(prepared).network.running is _inner(training).network.running
 
 
@@ -54,9 +55,15 @@ def test_other_training_arguments_prepare_a_second_environment(
     )
     assert generated == [("line", 0)] * 2
     alone = prepare(BusConfig(capacity=50))
-    assert job.training_prepared.config == alone.config
-    for shared, own in zip(job.training_prepared.network, alone.network, strict=True):
+    _, training = _prepared(job)
+    assert training.config == alone.config
+    for shared, own in zip(training.network, alone.network, strict=True):
         assert np.array_equal(shared, own)
+
+
+def _prepared(job: PlannedJob) -> tuple[Any, Any]:
+    """What the job evaluates in and what it trains in."""
+    return job.training.plan.prepared, job.training.plan.training_prepared
 
 
 def _inner(prepared: object) -> Prepared:

@@ -142,7 +142,8 @@ def test_a_stack_has_one_worker_per_part_that_a_process_can_hold() -> None:
 def test_jobs_use_a_gpu_by_their_own_device() -> None:
     [job] = new_jobs(compose(["env=trivial", "device=cpu"]), (0,))
     assert not uses_gpu(job)
-    assert uses_gpu(replace(job, config=replace(job.config, device="cuda:1")))
+    on_gpu = replace(job.training, config=replace(job.config, device="cuda:1"))
+    assert uses_gpu(replace(job, training=on_gpu))
 
 
 def test_a_budget_in_which_policies_would_never_split_is_refused() -> None:

@@ -26,7 +26,7 @@ from rehearsal import (
     TediousVisitors,
     parameters_of,
 )
-from runs import COPIES, GRU, STEPS, Backend, Log, job_of, logs_of, trained
+from runs import COPIES, GRU, STEPS, Backend, Log, job_of, logs_of, trained, with_algorithm
 
 from headway.config.experiment import BackendConfig
 from headway.contracts import Contribution, Contributor, EnvSpec, HeadwayError, Trajectory
@@ -57,14 +57,7 @@ def _job(
     """A job of `job_of`, but of any algorithm; a3c has one worker per block of its four copies."""
     entry, model = ENTRIES[algorithm], ModelConfig((8,), core=core, **(GRU if core == "gru" else {}))
     more: dict[str, Any] = {"application": application} if algorithm == "a3c" else {}
-    return replace(
-        job_of(folder, **choices),
-        make_policy=entry.acting_policy,
-        make_learner=entry.learner,
-        algo_config=entry.config(model=model, **more),
-        make_contributor=entry.contributor,
-        contributor_preload=entry.preload,
-    )
+    return with_algorithm(job_of(folder, **choices), entry, entry.config(model=model, **more))
 
 
 def _log(job: TrainingJob) -> Log:
@@ -238,7 +231,7 @@ def test_a_contributor_with_a_synchronous_learner_is_refused_by_the_name_of_its_
 @contextmanager
 def _opened(job: TrainingJob, notices: list[str]) -> Iterator[PoolContributors]:
     assert job.make_contributor is not None
-    plan = AsynchronousPlan(job.plan(), job.make_contributor, job.algo_config, job.contributor_preload)
+    plan = AsynchronousPlan(job.plan, job.make_contributor, job.algo_config, job.contributor_preload)
     with closing(open_contributors(BackendConfig("process"), plan, notices.append)) as contributors:
         assert isinstance(contributors, PoolContributors)
         contributors.begin()
@@ -249,7 +242,7 @@ def test_the_evaluator_is_closed_if_contributors_cannot_start(tmp_path: Path) ->
     def unpicklable(config: object, spec: EnvSpec, seeds: Sequence[int]) -> Contributor:
         raise AssertionError("no worker is started")
 
-    plan = AsynchronousPlan(_job("a3c", tmp_path).plan(), unpicklable, None)
+    plan = AsynchronousPlan(_job("a3c", tmp_path).plan, unpicklable, None)
     before = set(multiprocessing.active_children())
     with pytest.raises((pickle.PicklingError, AttributeError), match="unpicklable"):
         open_contributors(BackendConfig("process"), plan, print)
@@ -257,7 +250,7 @@ def test_the_evaluator_is_closed_if_contributors_cannot_start(tmp_path: Path) ->
 
 
 def test_workers_sample_the_same_as_the_serial_collector_on_their_copies(tmp_path: Path) -> None:
-    plan = _job("a3c", tmp_path).plan()
+    plan = _job("a3c", tmp_path).plan
     acting = parameters_of(plan)
     together = SerialCollector(plan)
     together.begin()

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from covering import pairwise
 from rehearsal import TOYS, FaultConfig, FaultyVisitors
-from runs import Log, job_of, logs_of, trained
+from runs import Log, job_of, logs_of, trained, with_algorithm
 
 from headway.contracts import HeadwayError
 from headway.events import Event, Notice, Started
@@ -27,7 +27,7 @@ def _job(algorithm: str, folder: Path, **choices: Any) -> TrainingJob:  # noqa: 
         model=NetworkConfig((8,)), capacity=150, learning_starts=20, batch_size=8, updates=5, target_every=3
     )
     job = job_of(folder, **{"env": TOYS[TASKS[algorithm]], **choices})
-    return replace(job, make_policy=entry.acting_policy, make_learner=entry.learner, algo_config=config)
+    return with_algorithm(job, entry, config)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -297,7 +297,7 @@ def test_a_run_placed_on_the_cluster_requests_at_most_the_cpus_of_a_node(
     cpus = None if node_cpus is None else 8
     cluster = SessionCluster("head:1", node_cpus is None, cpus, node_cpus, learners=True)
     shares = cluster.share_cores(composed.config.backend, jobs, cores=4)
-    job = jobs[0].training_job(composed.config, workers_of(jobs[0], shares), ())
+    job = replace(jobs[0].training, workers=workers_of(jobs[0], shares))
     assert job.workers == workers
     assert Placement.of(job, node_cpus, 0.0) == Placement(requested)
     assert shares.parallel == parallel
