@@ -21,8 +21,12 @@ def own_name() -> str:
     """Return the command to type: `headway` if it is on the PATH, else its path."""
     if shutil.which("headway"):
         return "headway"
-    script = Path(sys.executable).with_name("headway")
-    return str(script.relative_to(Path.cwd())) if script.is_relative_to(Path.cwd()) else str(script)
+    return relative(Path(sys.executable).with_name("headway"))
+
+
+def relative(path: Path) -> str:
+    """Return a path as a reader would type it: relative to the working directory if that contains it."""
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
 
 
 @contextmanager

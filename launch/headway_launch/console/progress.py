@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from headway.events import EvaluationFinished, Event, IterationFinished, Started
+from headway.events import EvaluationFinished, Event, Failed, Finished, IterationFinished, Started
 
 Status = Literal["waiting", "starting", "training", "finished", "stopped", "failed"]
 ACTIVE: tuple[Status, ...] = ("starting", "training")
@@ -46,6 +46,10 @@ class JobProgress:
                 self._marks.append((wall_s, iteration, env_steps))
             case EvaluationFinished(mode=self.mode, mean_return=mean_return):
                 self.evaluation_return = mean_return
+            case Finished(stopped=stopped):
+                self.status = "stopped" if stopped else "finished"
+            case Failed():
+                self.status = "failed"
 
     @property
     def name(self) -> str:

@@ -34,8 +34,9 @@ class SessionCell:
     def __init__(self, store: SessionStore, plan: CellPlan) -> None:
         experiment = plan.experiment
         self.plan, self.experiment, self.config = plan, experiment, experiment.config
-        self.results: list[SeedResult] = [stored_result(folder) for folder in plan.finished]
-        """One result per seed that ended, in this session or an earlier one."""
+        finished = (stored_result(folder) for folder in plan.finished)
+        self.results: dict[str, SeedResult] = {result.run_id: result for result in finished}
+        """Result of each run that has ended, in this session or an earlier one, by the run's identity."""
         self.rules: Rules = {}
         self.touched = bool(plan.jobs)
         """Whether the session trains or stores anything in this cell."""
@@ -90,7 +91,7 @@ class SessionCell:
         Cells with the same environment share one evaluation through `played`. If the session trains nothing
         here and stored results are complete, those are used instead.
         """
-        if not any(result.status == "FINISHED" for result in self.results):
+        if not any(result.status == "FINISHED" for result in self.results.values()):
             return
         kept = self._stored_rules()
         if not self.plan.jobs and kept is not None:
@@ -127,7 +128,7 @@ class SessionCell:
     def in_order(self) -> list[SeedResult]:
         """Return the results in the order of the experiment's seeds."""
         order = {seed: place for place, seed in enumerate(self.config.seed)}
-        return sorted(self.results, key=lambda result: order.get(result.seed, 0))
+        return sorted(self.results.values(), key=lambda result: order.get(result.seed, 0))
 
     def _stored_rules(self) -> Rules | None:
         """Return the stored results of all rules on all evaluation episodes; None if any are missing."""

@@ -24,7 +24,6 @@ from headway_launch.console.output import print_line
 
 if TYPE_CHECKING:
     from headway.energy.ledger import Energy, JobUsage
-    from headway.store.run_folder import Status
     from headway.store.session import Run
 
 TRACEBACK = "traceback.txt"
@@ -50,7 +49,6 @@ class JobRecorder:
     """Seconds from there to the end of training; 0 if the process ended without a final event."""
     store_s: float = 0.0
     """Seconds of `trained_s` spent on logs and checkpoints."""
-    status: "Status" = "RUNNING"
     failure: Failed | None = None
     _first: tuple[float, int] | None = None
     _last: tuple[float, int] | None = None
@@ -73,14 +71,13 @@ class JobRecorder:
             case CheckpointSaved(iteration=iteration):
                 for run in self.runs:
                     run.durable(iteration)
-            case Finished(stopped=stopped, usage=usage):
+            case Finished(usage=usage):
                 self.used = usage or self.used
                 if self.began is not None and usage is not None:
                     self.trained_s, self.store_s = time.monotonic() - self.began, event.store_s
-                self.status = "KILLED" if stopped else "FINISHED"
                 self._record_checkpoint()
             case Failed():
-                self.status, self.failure = "FAILED", event
+                self.failure = event
                 self._record_checkpoint()
                 self._keep_traceback(event)
 

@@ -16,7 +16,6 @@ from headway_launch.runner.comparison import print_comparison
 
 if TYPE_CHECKING:
     from headway.store.session import Run
-    from headway_launch.runner.recorder import JobRecorder
 
 _USE = ("cpu_seconds", "kwh", "kg_co2", "cpu_kwh", "gpu_kwh", "ram_kwh")
 AUC_HEADING, CO2_HEADING = "AUC (own range)", "kg CO2eq"
@@ -97,7 +96,8 @@ class SeedResult:
 
 def seed_result(
     run: "Run",
-    recording: "JobRecorder",
+    status: str,
+    steps_per_second: float | None,
     mode: str,
     used: Row,
     energy_modes: Mapping[str, str],
@@ -106,13 +106,13 @@ def seed_result(
     final, area = curve_metrics(run, mode)
     return SeedResult(
         seed=run.record.seed,
-        status=recording.status,
+        status=status,
         run_id=run.run_id,
         directory=str(run.directory),
         final_reward=final,
         auc=area,
         env_steps=run.record.durable_env_steps,
-        steps_per_second=recording.steps_per_second,
+        steps_per_second=steps_per_second,
         use={name: float(used[name]) if name in used else None for name in _USE},
         energy_modes=energy_modes,
     )

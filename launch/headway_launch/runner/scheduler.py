@@ -7,16 +7,14 @@ import traceback
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import wait
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import Any, Protocol, Self
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, Failed, Finished, Notice
-from headway_launch.console.progress import JobProgress
+from headway_launch.console.progress import OVER
 from headway_launch.console.progress_display import Progress
-from headway_launch.runner.training_process import TrainingProcess
-
-if TYPE_CHECKING:
-    from headway.training.loop import TrainingJob
+from headway_launch.runner.cores import CoreShares
+from headway_launch.runner.session_job import SessionJob
 
 _POLL_S = 0.2
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -107,31 +105,26 @@ class Training(Protocol):
 
 
 class Scheduler:
-    """Runs jobs, `parallel` at a time.
+    """Runs the jobs of a session, `parallel` at a time. A failed job does not stop the others.
 
-    `begin(index)` returns a job when its turn comes, `take(index, event)` receives every event, and `tick` is
-    called a few times per second. A failed job does not stop the others.
+    It alone sets what a job is doing (`SessionJob.progress.status`). `start(job)` starts a training process,
+    `ended(job)` is called when a job has ended or its process was lost, and `tick` a few times per second; it
+    returns lines for the user.
     """
 
     def __init__(
         self,
-        progress: Sequence[JobProgress],
-        parallel: int,
-        begin: Callable[[int], "TrainingJob"],
-        take: Callable[[int, Event], None],
-        tick: Callable[[], Sequence[str]] = tuple,
-        open_training: Callable[["TrainingJob"], Training] = TrainingProcess,
-        should_restart: Callable[[int], bool] = lambda index: False,
+        jobs: Sequence[SessionJob],
+        shares: CoreShares,
+        start: Callable[[SessionJob], Training],
+        ended: Callable[[SessionJob], None],
+        tick: Callable[[], Sequence[str]],
     ) -> None:
-        """`should_restart(index)` decides whether a job whose training process was lost is started again."""
-        self._begin = begin
-        self._progress = progress
-        self._parallel = parallel
-        self._take = take
-        self._tick = tick
-        self._open_training, self._should_restart = open_training, should_restart
-        self._running: dict[int, Training] = {}
-        self._waiting = list(range(len(progress)))
+        self._jobs, self._shares = jobs, shares
+        self._start_training, self._ended, self._tick = start, ended, tick
+        self._waiting = list(jobs)
+        self._running: dict[int, tuple[SessionJob, Training]] = {}
+        """By identity of the job."""
         self._asked_to_stop = False
         self._killed = False
 
@@ -140,10 +133,14 @@ class Scheduler:
 
         Leaves no training process behind, also if it raises.
         """
+        parallel = self._shares.parallel
         try:
-            with StopRequests() as requests, Progress(self._progress, self._parallel) as shown:
+            with (
+                StopRequests() as requests,
+                Progress([job.progress for job in self._jobs], parallel) as shown,
+            ):
                 while self._running or (self._waiting and not requests.count):
-                    while self._waiting and len(self._running) < self._parallel and not requests.count:
+                    while self._waiting and len(self._running) < parallel and not requests.count:
                         self._start(self._waiting.pop(0), shown)
                     self._receive_events(shown)
                     self._handle_requests(requests, shown)
@@ -152,72 +149,74 @@ class Scheduler:
                     shown.show()
                 return requests.count > 0
         finally:
-            for process in self._running.values():
-                process.kill()
-                process.join()
+            for _, training in self._running.values():
+                training.kill()
+                training.join()
 
-    def _start(self, index: int, shown: Progress) -> None:
-        self._progress[index].status = "starting"
+    def _start(self, job: SessionJob, shown: Progress) -> None:
+        job.progress.status = "starting"
         try:
-            self._running[index] = self._open_training(self._begin(index))
+            self._running[id(job)] = job, self._start_training(job)
         except HeadwayError as error:
-            self._take_event(index, Failed(str(error), traceback.format_exc()), shown)
+            self._take(job, Failed(str(error), traceback.format_exc()), shown)
 
     def _receive_events(self, shown: Progress) -> None:
         """Process the events that have arrived, after waiting up to `_POLL_S` for the first."""
         by_handle: dict[Any, int] = {
-            handle: index
-            for index, process in self._running.items()
-            for handle in (process.connection, process.sentinel)
+            handle: key
+            for key, (_, training) in self._running.items()
+            for handle in (training.connection, training.sentinel)
         }
-        for index in {by_handle[handle] for handle in wait(list(by_handle), _POLL_S)}:
-            process = self._running[index]
-            while process.has_event():
-                event = process.receive()
+        for key in {by_handle[handle] for handle in wait(list(by_handle), _POLL_S)}:
+            job, training = self._running[key]
+            while training.has_event():
+                event = training.receive()
                 if event is None:
                     break
-                self._take_event(index, event, shown)
-            if process.has_ended():
-                self._end(index, shown)
+                self._take(job, event, shown)
+            if training.has_ended():
+                del self._running[key]
+                self._end(job, training, shown)
 
-    def _take_event(self, index: int, event: Event, shown: Progress) -> None:
-        job = self._progress[index]
+    def _take(self, job: SessionJob, event: Event, shown: Progress) -> None:
         job.take(event)
+        progress = job.progress
         match event:
-            case Finished(stopped=stopped):
-                job.status = "stopped" if stopped else "finished"
             case Failed(line=line):
-                job.status = "failed"
-                where = f"; see {job.traceback}" if job.traceback else ""
-                shown.note(f"headway: {job.name} failed: {line}{where}")
+                where = f"; see {progress.traceback}" if progress.traceback else ""
+                shown.note(f"headway: {progress.name} failed: {line}{where}")
             case Notice(line=line):
-                shown.note(f"{job.name}: {line}")
-        self._take(index, event)
+                shown.note(f"{progress.name}: {line}")
+        if progress.status in OVER:
+            self._ended(job)
 
-    def _end(self, index: int, shown: Progress) -> None:
-        training = self._running.pop(index)
-        reason = training.join()
-        job = self._progress[index]
-        unfinished = job.status in ("starting", "training")
-        if unfinished and training.lost and not self._asked_to_stop and self._should_restart(index):
-            shown.note(f"headway: {job.name}: {reason}; restarted from its last checkpoint, if any")
-            job.status = "waiting"
-            self._waiting.insert(0, index)
+    def _end(self, job: SessionJob, training: Training, shown: Progress) -> None:
+        """Deal with the end of a training process, which may have sent no final event."""
+        reason, progress = training.join(), job.progress
+        if progress.status in OVER:
             return
-        if unfinished:
-            last = Finished(job.iteration, stopped=True) if self._killed else Failed(reason, "")
-            self._take_event(index, last, shown)
+        if training.lost and not self._asked_to_stop and job.can_restart():
+            progress.status = "stopped"
+            self._ended(job)
+            job.plan_restart(self._shares)
+            shown.note(f"headway: {progress.name}: {reason}; restarted from its last checkpoint, if any")
+            progress.status = "waiting"
+            self._waiting.insert(0, job)
+        elif self._killed:
+            self._take(job, Finished(progress.iteration, stopped=True), shown)
+        else:
+            self._take(job, Failed(reason, ""), shown)
 
     def _handle_requests(self, requests: StopRequests, shown: Progress) -> None:
         if requests.count and not self._asked_to_stop and self._running:
             self._asked_to_stop = True
-            for process in self._running.values():
-                process.ask_to_stop()
+            for _, training in self._running.values():
+                training.ask_to_stop()
             shown.note("stopping after this iteration, with a checkpoint; press Ctrl-C again to kill at once")
             requests.acknowledge()
         if requests.count > 1 and self._running:
             if not self._killed:
                 shown.note("killed; training after the last checkpoint is lost")
             self._killed = True
-            for process in self._running.values():
-                process.kill()
+            for _, training in self._running.values():
+                training.kill()

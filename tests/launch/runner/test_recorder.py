@@ -9,7 +9,7 @@ from headway.config.experiment import StoreConfig
 from headway.events import Event, Failed, Finished, IterationFinished, Started, Usage
 from headway.store import CHECKPOINTS, Run, RunIndex, RunLog, RunRecord, SessionStore, save_checkpoint
 from headway_launch.runner.recorder import JobRecorder
-from headway_launch.runner.results import print_cells, seed_result
+from headway_launch.runner.results import SeedResult, print_cells, seed_result
 
 STEPS = 100
 
@@ -34,6 +34,10 @@ def train(recording: JobRecorder, iterations: int) -> None:
         recording.take(IterationFinished(iteration, STEPS * iteration, Usage(), 1.0 * iteration, 0.5, 0.5))
 
 
+def result_of(run: Run) -> SeedResult:
+    return seed_result(run, "KILLED", None, "greedy", {}, {})
+
+
 @pytest.mark.parametrize("last", [Finished(8, stopped=True), Failed("it broke", "")])
 def test_an_unreported_checkpoint_counts_and_nothing_after_it(runs: Sequence[Run], last: Event) -> None:
     recording = JobRecorder(runs)
@@ -41,8 +45,8 @@ def test_an_unreported_checkpoint_counts_and_nothing_after_it(runs: Sequence[Run
     save_checkpoint(runs[1].directory / CHECKPOINTS, 5, {})  # killed before the event
     recording.take(last)
     for run in runs:
-        result = seed_result(run, recording, "greedy", {}, {})
-        run.finish(recording.status, result.summary)
+        result = result_of(run)
+        run.finish("KILLED", result.summary)
         assert result.env_steps == 5 * STEPS
         assert result.final_reward == 5.0  # last 20% of five iterations; of eight it would be 7.5
     for row in RunIndex(runs[0].directory.parents[1]).rows():
@@ -58,7 +62,7 @@ def test_a_curve_of_two_points_has_no_area(
     train(recording, evaluations)
     save_checkpoint(runs[0].directory / CHECKPOINTS, evaluations, {})
     recording.take(Finished(evaluations, stopped=False))
-    result = seed_result(runs[0], recording, "greedy", {}, {})
+    result = result_of(runs[0])
     assert result.auc == (None if area is None else pytest.approx(area))
     assert result.final_reward is not None
     print_cells("study", [("ippo", 1, [result])], {2})
@@ -71,7 +75,7 @@ def test_without_a_checkpoint_nothing_is_kept(runs: Sequence[Run]) -> None:
     recording = JobRecorder(runs)
     train(recording, 8)
     recording.take(Finished(8, stopped=True))
-    result = seed_result(runs[0], recording, "greedy", {}, {})
+    result = result_of(runs[0])
     assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
 
 
@@ -82,7 +86,7 @@ def test_a_run_stopped_before_its_first_iteration_has_no_result(runs: Sequence[R
     log.commit(0)
     recording = JobRecorder(runs)
     recording.take(Finished(0, stopped=True))
-    result = seed_result(runs[0], recording, "greedy", {}, {})
+    result = result_of(runs[0])
     assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
 
 
