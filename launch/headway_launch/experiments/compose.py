@@ -23,7 +23,7 @@ from headway.config.schema import (
 )
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.environment import EnvSpec
-from headway.contracts.errors import HeadwayError
+from headway.contracts.errors import HeadwayError, UnknownKeyError
 from headway.environments import chosen_env, notices_of
 from headway.registry import algo_entries, algo_entry, env_entries, is_module_path, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
@@ -33,6 +33,7 @@ _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2})(?P<key>[^=+~]+)=(?P<value>.*)", re.
 _DELETION = re.compile(r"~(?P<key>[^=+~]+)(=.*)?", re.DOTALL)
 _SEVERAL_VALUES = re.compile(r"Ambiguous value for argument '(?P<key>[^=]*)=(?P<value>.*)'")
 _DEFAULT = "default_"
+_EXPERIMENT = "the experiment"
 """Prefix of the presets that apply unless another is chosen: `default_bus` with `env=bus`."""
 _NO_ENV = "none"
 """The option of the group `env` that applies if none is chosen."""
@@ -174,9 +175,8 @@ def compose(overrides: Sequence[str]) -> Experiment:
     values = _preset_values(presets, mapping, by_default=preset.startswith(_DEFAULT))
     try:
         return resolve({**_merged(values, mapping), "preset": preset if values else NO_PRESET})
-    except HeadwayError as error:
-        key = str(error).partition(" is not a key of ")[0]
-        if _has_key(values, key) and not _has_key(mapping, key):
+    except UnknownKeyError as error:
+        if _has_key(values, error.key) and not _has_key(mapping, error.key):
             raise HeadwayError(f"preset={preset} does not fit this experiment: {error}") from error
         raise
 
@@ -355,13 +355,11 @@ def _require_known_key(key: str, value: str, overrides: Sequence[str]) -> None:
     if head in names or head == "hydra":
         return
     if full_keys := _keys_ending_in(key, [other for other in overrides if _first_part(other) in names]):
-        raise HeadwayError(
-            f"{key} is not a key of the experiment; did you mean {' or '.join(full_keys)}={value}?"
-        )
+        raise UnknownKeyError(key, _EXPERIMENT, f"did you mean {' or '.join(full_keys)}={value}?")
     if not rest and nearest(head, names) in ("experiment", "preset"):
         near = f"did you mean {nearest(head, names)}={value}? Available: {', '.join(sorted(names))}"
-        raise HeadwayError(f"{head} is not a key of the experiment; {near}")
-    raise HeadwayError(f"{head} is not a key of the experiment; {suggestion(head, names)}")
+        raise UnknownKeyError(head, _EXPERIMENT, near)
+    raise UnknownKeyError(head, _EXPERIMENT, suggestion(head, names))
 
 
 def _first_part(override: str) -> str:

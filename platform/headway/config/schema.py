@@ -14,7 +14,7 @@ from math import isnan
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from headway.contracts.errors import HeadwayError
+from headway.contracts.errors import HeadwayError, UnknownKeyError
 
 Record = TypeVar("Record")
 
@@ -84,7 +84,7 @@ def build(
             owner = of or path or "the experiment"
             known = elsewhere(str(key)) if elsewhere else None
             hint = known or suggestion(str(key), fields, f"{path}." if path else "")
-            raise HeadwayError(f"{_join(path, str(key))} is not a key of {owner}; {hint}")
+            raise UnknownKeyError(_join(path, str(key)), owner, hint)
     for name, field in fields.items():
         if name not in mapping and field.default is MISSING and field.default_factory is MISSING:
             raise HeadwayError(f"{_join(path, name)} is missing and has no default; give it a value")

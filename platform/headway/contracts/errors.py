@@ -11,3 +11,11 @@ class HeadwayError(Exception):
     def __init__(self, line: str, details: str = "") -> None:
         super().__init__(line)
         self.details = details
+
+
+class UnknownKeyError(HeadwayError):
+    """A key that a configuration does not have. `key` is its full name and `owner` what should have it."""
+
+    def __init__(self, key: str, owner: str, hint: str) -> None:
+        super().__init__(f"{key} is not a key of {owner}; {hint}")
+        self.key = key
