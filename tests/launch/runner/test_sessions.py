@@ -142,7 +142,7 @@ def test_a_run_ends_with_a_table_and_is_in_the_store(
 def test_the_share_of_the_store_is_printed_for_long_trainings(
     seconds: float, printed: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    job = SimpleNamespace(recording=SimpleNamespace(trained_s=seconds, store_s=1.0))
+    job = SimpleNamespace(recorder=SimpleNamespace(trained_s=seconds, store_s=1.0))
     Runner._print_store_share(cast(Runner, SimpleNamespace(_jobs=[job], _own_cpu_s=1.0)))
     assert capsys.readouterr().err.startswith("storage took ") == printed
 

@@ -214,7 +214,7 @@ def test_a_failing_mlflow_is_a_notice_and_sync_repairs_it(root: Path) -> None:
     assert sync(root) == (f"{run.run_id} is up to date in MLflow",)
     assert sync(root) == ()
     histories = _histories(root, run)
-    assert histories["train/loss"][-1] == (4000, 1 / 40)
+    assert histories["train/loss"][-1] == (4000, 1 / 41)
     assert histories["summary/final_reward"] == [(0, 2.0)]
     assert _statuses(root) == ["FINISHED"] * 2  # the run and its cell, which no session ended
 

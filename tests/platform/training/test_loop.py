@@ -212,7 +212,8 @@ def test_a_stack_with_one_seed_per_process_trains_and_resumes_like_any_stack(tmp
     seeds = (5, 6)
     unlimited = job_of(tmp_path / "unlimited", seeds=seeds, block=1)
     # Also evaluates separately, but with four episodes per seed at once, where the other job plays one.
-    unlimited = replace(unlimited, spec=replace(unlimited.spec, max_copies_per_process=8))
+    spec = replace(unlimited.plan.spec, max_copies_per_process=8)
+    unlimited = replace(unlimited, plan=replace(unlimited.plan, spec=spec))
     trained(unlimited)
     job = job_of(tmp_path, (LoneVisitors, VISITORS), seeds, "process", workers=8, block=1)
     assert _end(trained(job, stop_after=3)) == (3, True)
