@@ -226,7 +226,7 @@ def cluster() -> Iterator[Nodes]:
 
 def _start_ray(host: Host, environment: dict[str, str], told: Path, words: Sequence[str]) -> None:
     command = [sys.executable, "-m", "ray.scripts.scripts", "start", f"--node-ip-address={host.address}"]
-    command += [f"--object-store-memory={10**8}", *words]
+    command += [f"--object-store-memory={10**8}", "--include-log-monitor=false", *words]
     for _ in range(_MAX_RAY_STARTS):
         code = host.start(command, environment, told, told).wait(_TIMEOUT_S)
         if not code:

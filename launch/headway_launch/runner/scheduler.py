@@ -202,7 +202,7 @@ class Scheduler:
             shown.note(f"headway: {progress.name}: {reason}; restarted from its last checkpoint, if any")
             progress.status = "waiting"
             self._waiting.insert(0, job)
-        elif self._killed:
+        elif self._killed or (training.lost and self._asked_to_stop):
             self._take(job, Finished(progress.iteration, stopped=True), shown)
         else:
             self._take(job, Failed(reason, ""), shown)

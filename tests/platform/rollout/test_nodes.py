@@ -29,12 +29,13 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Cluster"]:
     """A cluster of a head without CPUs and three nodes with two CPUs each."""
     from ray.cluster_utils import Cluster
 
-    settings = {"num_cpus": 0, "include_dashboard": False, "object_store_memory": 10**8}
+    settings = {"object_store_memory": 10**8, "include_log_monitor": False}
+    head = {"num_cpus": 0, "include_dashboard": False, "no_monitor": True}
     before = ray_processes()
-    whole = Cluster(initialize_head=True, head_node_args=settings)
+    whole = Cluster(initialize_head=True, head_node_args={**settings, **head})
     try:
         for _ in range(3):
-            whole.add_node(num_cpus=2, object_store_memory=10**8)
+            whole.add_node(num_cpus=2, **settings)
         yield whole
     finally:
         whole.shutdown()

@@ -28,6 +28,8 @@ class SessionCluster:
     """CPUs of all nodes; None: use the cores of this machine."""
     node_cpus: int | None = None
     """CPUs of the largest node; None as for `cpus`."""
+    gpus: float = 0.0
+    """GPUs of all nodes."""
     learners: bool = False
     """Whether complete training processes run on the cluster, not only their rollout workers."""
 
@@ -42,17 +44,19 @@ class SessionCluster:
             return cls()
         requested, learners = on_ray[0].address, on_ray[0].learners
         address = connect(requested)
-        if requested == "local":
-            return cls(address, shared_out=True, learners=learners == "cluster")
         import ray
 
+        # Read once: Ray does not answer while the cluster's head is gone.
+        gpus = ray.cluster_resources().get("GPU", 0.0)
+        if requested == "local":
+            return cls(address, shared_out=True, gpus=gpus, learners=learners == "cluster")
         nodes = [node["Resources"].get("CPU", 0) for node in ray.nodes() if node["Alive"]]
         cpus = int(sum(nodes))
         if cpus == 0:
             disconnect()
             raise HeadwayError(f"the Ray cluster at {address} has no CPUs; start nodes with `ray start`")
         learners_on_cluster = learners == "cluster" or (learners is None and len(on_ray) > 1)
-        return cls(address, cpus=cpus, node_cpus=int(max(nodes)), learners=learners_on_cluster)
+        return cls(address, cpus=cpus, node_cpus=int(max(nodes)), gpus=gpus, learners=learners_on_cluster)
 
     def backend(self, asked: BackendConfig) -> BackendConfig:
         """Return the backend of a training process with the address of this cluster."""
@@ -75,10 +79,10 @@ class SessionCluster:
         backend = job.config.backend
         if not self.learners or backend.name != "ray":
             return TrainingProcess(job)
-        from headway_launch.runner.cluster.ray_training import RayTraining
+        from headway_launch.runner.cluster.ray_training import Placement, RayTraining
 
         on_node = replace(job, config=replace(job.config, backend=replace(backend, name="process")))
-        return RayTraining(on_node, self.node_cpus)
+        return RayTraining(on_node, Placement.of(on_node, self.node_cpus, self.gpus))
 
     def close(self) -> None:
         """Disconnect, which ends a cluster that this session started."""

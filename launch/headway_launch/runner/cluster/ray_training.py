@@ -7,6 +7,7 @@ a file system that all nodes share.
 import pickle
 import queue
 import threading
+import time
 from dataclasses import dataclass, replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -108,9 +109,8 @@ class Placement:
 class RayTraining:
     """The session's handle of a `TrainingHost`; implements `headway_launch.runner.scheduler.Training`."""
 
-    def __init__(self, job: TrainingJob, node_cpus: int | None) -> None:
-        """Start training on the cluster; `node_cpus`: as in `Placement.of`."""
-        resources = Placement.of(job, node_cpus, ray.cluster_resources().get("GPU", 0.0))
+    def __init__(self, job: TrainingJob, resources: Placement) -> None:
+        """Start training on the first node that has the resources."""
         host = ray.remote(TrainingHost).options(
             num_cpus=resources.cpus,
             num_gpus=resources.gpus,
@@ -124,6 +124,7 @@ class RayTraining:
         self._events, self._sender = Pipe(duplex=False)
         self._at_end = False
         self._end_reason = ""
+        self._stop = threading.Event()
         self.lost = False
         self._relay = threading.Thread(target=self._forward_events, args=(pickled_whole(job),), daemon=True)
         self._relay.start()
@@ -156,12 +157,18 @@ class RayTraining:
         return event
 
     def ask_to_stop(self) -> None:
-        """Request a checkpoint and an orderly end."""
+        """Request a checkpoint and an orderly end; without a node yet it ends at once."""
+        self._stop.set()
         self._host.ask_to_stop.remote()
 
     def kill(self) -> None:
         """Kill the process and its workers."""
-        ray.kill(self._host, no_restart=True)
+        # In a thread: the call does not return while the cluster's head is gone.
+        killing = threading.Thread(
+            target=ray.kill, args=(self._host,), kwargs={"no_restart": True}, daemon=True
+        )
+        killing.start()
+        killing.join(_WAIT_S)
 
     def join(self) -> str:
         """Wait for the end; return how the process ended, for one that sent no final event."""
@@ -173,12 +180,11 @@ class RayTraining:
     def _forward_events(self, job: bytes) -> None:
         """Start training and forward its events to the session; runs in a thread."""
         try:
-            here = Place.here()
             arriving = self._host.place.remote()
-            if not ray.wait([arriving], timeout=PATIENCE_S)[0] and self._resources.cpus:
-                line = f"waiting for a node of the cluster with {self._resources.cpus:g} free CPUs"
-                self._sender.send(Notice(line))
-            elsewhere = ray.get(arriving).machine != here.machine
+            if not self._has_node(arriving):
+                self.lost, self._end_reason = True, "it had no node of the cluster yet"
+                return
+            elsewhere = ray.get(arriving).machine != Place.here().machine
             self._host.train.remote(job)
             while True:
                 for event in ray.get(self._host.next_events.remote()):
@@ -191,6 +197,19 @@ class RayTraining:
             return  # the session has closed its end
         finally:
             self._sender.close()
+
+    def _has_node(self, arriving: "ray.ObjectRef[Place]") -> bool:
+        """Wait until the host runs on a node; return False if a stop is requested before."""
+        noticed = not self._resources.cpus
+        began = time.monotonic()
+        while not ray.wait([arriving], timeout=_WAIT_S)[0]:
+            if self._stop.is_set():
+                return False
+            if not noticed and time.monotonic() - began > PATIENCE_S:
+                line = f"waiting for a node of the cluster with {self._resources.cpus:g} free CPUs"
+                self._sender.send(Notice(line))
+                noticed = True
+        return True
 
 
 def without_usage(event: Event) -> Event:

@@ -70,8 +70,11 @@ port=$((20000 + SLURM_JOB_ID % 20000))
 address=${HEADWAY_HEAD_ADDRESS:-$(hostname -I | cut -d ' ' -f 1)}
 RAY_AUTH_TOKEN=$("$python" -c 'import secrets; print(secrets.token_hex(32))')
 export RAY_AUTH_TOKEN RAY_AUTH_MODE=token RAY_USAGE_STATS_ENABLED=0 RAY_prestart_worker_first_driver=0
+# A cancelled job ends at once: Ray would wait for a head that has ended, until Slurm kills the step.
+export RAY_GRACEFUL_SHUTDOWN_DRAIN_TIMEOUT_S=0
 folder=$(mktemp -d "${HEADWAY_RAY_TMP:-/tmp}/headway-ray-XXXXXX")
-ray=("$python" -m ray.scripts.scripts start "--num-cpus=$SLURM_CPUS_PER_TASK" --block)
+ray=("$python" -m ray.scripts.scripts start "--num-cpus=$SLURM_CPUS_PER_TASK" --include-log-monitor=false)
+ray+=(--block)
 others=$((SLURM_JOB_NUM_NODES - 1))
 on_nodes=(srun "--cpus-per-task=$SLURM_CPUS_PER_TASK" --ntasks-per-node=1 --kill-on-bad-exit=0)
 on_others=("${on_nodes[@]}" "--nodes=$others" "--ntasks=$others" "--exclude=$SLURMD_NODENAME")

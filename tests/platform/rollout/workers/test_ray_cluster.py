@@ -72,7 +72,7 @@ def test_a_cluster_that_requires_a_token_is_refused_with_the_setting(
         port = server.getsockname()[1]
     before = ray_processes()
     head = [sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--node-ip-address=127.0.0.1"]
-    head += [f"--port={port}", "--num-cpus=0", "--include-dashboard=false"]
+    head += [f"--port={port}", "--num-cpus=0", "--include-dashboard=false", "--include-log-monitor=false"]
     head += [f"--temp-dir={tmp_path_factory.mktemp('ray')}", f"--object-store-memory={10**8}"]
     token = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": "0" * 64, "RAY_USAGE_STATS_ENABLED": "0"}
     try:
