@@ -13,7 +13,8 @@ from headway_launch.experiments.compose import compose
 
 pytestmark = pytest.mark.slow
 
-ENV_STEPS = 20_000
+ENV_STEPS = {"coma": 20_000}
+"""Of algorithms that need more than 10,000."""
 
 
 @pytest.mark.parametrize("algorithm", algo_entries())
@@ -22,7 +23,7 @@ def test_defaults_close_half_of_the_gap_between_random_and_optimal_play(
 ) -> None:
     words = [f"env={'tracking' if algorithm == 'ddpg' else 'visitors'}", f"algo={algorithm}"]
     options = [
-        f"env_steps={ENV_STEPS}",
+        f"env_steps={ENV_STEPS.get(algorithm, 10_000)}",
         "seed=1",
         "backend=serial",
         "energy=off",
