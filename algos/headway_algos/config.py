@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
-from headway.contracts.checks import require, require_finite
+from headway.contracts.checks import require_finite, require_key, require_value
 
 
 @dataclass(frozen=True)
@@ -37,15 +37,16 @@ class ModelConfig:
 
     def __post_init__(self) -> None:
         require_finite(self)
-        require(all(size >= 1 for size in self.hidden), "hidden sizes must be at least 1")
-        require(self.gru_size >= 1, "gru_size must be at least 1")
-        require(self.sequence_length >= 1, "sequence_length must be at least 1")
-        require(self.actor_gain > 0, "actor_gain must be above 0")
-        require(-20 <= self.log_std <= 5, "log_std must lie in [-20, 5]")  # exp of more overflows in float32
+        require_key(all(size >= 1 for size in self.hidden), "hidden", "must hold sizes of at least 1")
+        require_value(self, "gru_size", self.gru_size >= 1, "must be at least 1")
+        require_value(self, "sequence_length", self.sequence_length >= 1, "must be at least 1")
+        require_value(self, "actor_gain", self.actor_gain > 0, "must be above 0")
+        # Beyond, exp overflows in float32.
+        require_value(self, "log_std", -20 <= self.log_std <= 5, "must lie in [-20, 5]")
         for key in ("gru_size", "sequence_length"):
             same = getattr(self, key) == getattr(type(self), key)
-            require(
-                self.core == "gru" or same, f"{key} applies to recurrence: set core=gru too, or leave it out"
+            require_key(
+                self.core == "gru" or same, key, "applies to recurrence: set core=gru too, or leave it out"
             )
 
 
@@ -77,9 +78,9 @@ class LearnerConfig:
 
     def __post_init__(self) -> None:
         require_finite(self)
-        require(0 <= self.gamma <= 1, "gamma must lie in [0, 1]")
-        require(self.lr > 0, "lr must be above 0")
-        require(0 <= self.lr_end <= 1, "lr_end must lie in [0, 1]")
+        require_value(self, "gamma", 0 <= self.gamma <= 1, "must lie in [0, 1]")
+        require_value(self, "lr", self.lr > 0, "must be above 0")
+        require_value(self, "lr_end", 0 <= self.lr_end <= 1, "must lie in [0, 1]")
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class AlgoConfig(LearnerConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.piece_samples >= 1, "piece_samples must be at least 1")
+        require_value(self, "piece_samples", self.piece_samples >= 1, "must be at least 1")
 
 
 @dataclass(frozen=True)
@@ -134,14 +135,19 @@ class SimultaneousConfig(AlgoConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(0 <= self.shared_until < 1, "shared_until must lie in [0, 1)")
+        require_value(self, "shared_until", 0 <= self.shared_until < 1, "must lie in [0, 1)")
         splits = self.shared_until > 0
-        require(not splits or self.policies != "shared", "shared_until must be 0 with policies: shared")
-        require(not (splits and self.agent_id), "agent_id must be false or null with shared_until")
-        require(self.apart_lr > 0, "apart_lr must be above 0")
-        require(
+        require_value(
+            self, "shared_until", not splits or self.policies != "shared", "must be 0 with policies: shared"
+        )
+        require_value(
+            self, "agent_id", not (splits and self.agent_id), "must be false or null with shared_until"
+        )
+        require_value(self, "apart_lr", self.apart_lr > 0, "must be above 0")
+        require_key(
             splits or self.apart_lr == 1,
-            "apart_lr applies after shared_until: set shared_until, or leave apart_lr at 1",
+            "apart_lr",
+            "applies after shared_until: set shared_until, or leave apart_lr at 1",
         )
 
 

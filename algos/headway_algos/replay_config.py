@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from math import exp
 from typing import ClassVar, Literal
 
-from headway.contracts.checks import require
+from headway.contracts.checks import require, require_key, require_value
 from headway_algos.config import LearnerConfig
 
 
@@ -22,7 +22,7 @@ class NetworkConfig:
     """Activation function of the hidden layers."""
 
     def __post_init__(self) -> None:
-        require(all(size >= 1 for size in self.hidden), "hidden sizes must be at least 1")
+        require_key(all(size >= 1 for size in self.hidden), "hidden", "must hold sizes of at least 1")
 
 
 @dataclass(frozen=True)
@@ -76,25 +76,31 @@ class ReplayConfig(LearnerConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.n_step >= 1, "n_step must be at least 1")
-        require(self.capacity >= 1, "capacity must be at least 1")
-        require(
+        require_value(self, "n_step", self.n_step >= 1, "must be at least 1")
+        require_value(self, "capacity", self.capacity >= 1, "must be at least 1")
+        require_value(
+            self,
+            "learning_starts",
             1 <= self.learning_starts <= self.capacity,
-            f"learning_starts must be at least 1 and at most capacity ({self.capacity})",
+            f"must be at least 1 and at most capacity ({self.capacity})",
         )
-        require(self.batch_size >= 1, "batch_size must be at least 1")
-        require(self.updates >= 1, "updates must be at least 1")
-        require(self.target_every >= 1, "target_every must be at least 1")
-        require(0 < self.tau <= 1, "tau must lie in (0, 1]")
-        require(self.grad_clip is None or self.grad_clip > 0, "grad_clip must be above 0, or null")
-        require(self.exploration_start >= 0, "exploration_start must be at least 0")
-        require(
+        require_value(self, "batch_size", self.batch_size >= 1, "must be at least 1")
+        require_value(self, "updates", self.updates >= 1, "must be at least 1")
+        require_value(self, "target_every", self.target_every >= 1, "must be at least 1")
+        require_value(self, "tau", 0 < self.tau <= 1, "must lie in (0, 1]")
+        require_value(
+            self, "grad_clip", self.grad_clip is None or self.grad_clip > 0, "must be above 0, or null"
+        )
+        require_value(self, "exploration_start", self.exploration_start >= 0, "must be at least 0")
+        require_value(
+            self,
+            "exploration_end",
             0 <= self.exploration_end <= self.exploration_start,
-            f"exploration_end must be at least 0 and at most exploration_start ({self.exploration_start})",
+            f"must be at least 0 and at most exploration_start ({self.exploration_start})",
         )
-        require(0 <= self.exploration_share <= 1, "exploration_share must lie in [0, 1]")
+        require_value(self, "exploration_share", 0 <= self.exploration_share <= 1, "must lie in [0, 1]")
         decay = self.exploration_decay_steps
-        require(decay is None or decay > 0, "exploration_decay_steps must be above 0, or null")
+        require_value(self, "exploration_decay_steps", decay is None or decay > 0, "must be above 0, or null")
         require(
             decay is None or self.exploration_share == type(self).exploration_share,
             "exploration_share or exploration_decay_steps, not both: exploration falls by one or the other",
@@ -128,7 +134,9 @@ class MADQNConfig(ReplayConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.exploration_start <= 1, "exploration_start must be at most 1: it is a probability")
+        require_value(
+            self, "exploration_start", self.exploration_start <= 1, "must be a probability, at most 1"
+        )
 
 
 @dataclass(frozen=True)
@@ -158,7 +166,9 @@ class DDPGConfig(ReplayConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.critic_lr is None or self.critic_lr > 0, "critic_lr must be above 0, or null")
-        require(self.saturation_coeff >= 0, "saturation_coeff must be at least 0")
-        require(0 <= self.ou_theta <= 1, "ou_theta must lie in [0, 1]")
-        require(self.ou_sigma >= 0, "ou_sigma must be at least 0")
+        require_value(
+            self, "critic_lr", self.critic_lr is None or self.critic_lr > 0, "must be above 0, or null"
+        )
+        require_value(self, "saturation_coeff", self.saturation_coeff >= 0, "must be at least 0")
+        require_value(self, "ou_theta", 0 <= self.ou_theta <= 1, "must lie in [0, 1]")
+        require_value(self, "ou_sigma", self.ou_sigma >= 0, "must be at least 0")

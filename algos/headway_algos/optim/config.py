@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from headway.contracts.checks import require
+from headway.contracts.checks import require_key, require_value
 from headway_algos.config import AlgoConfig
 
 
@@ -16,7 +16,9 @@ class AdamConfig(AlgoConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.grad_clip is None or self.grad_clip > 0, "grad_clip must be above 0, or null")
+        require_value(
+            self, "grad_clip", self.grad_clip is None or self.grad_clip > 0, "must be above 0, or null"
+        )
 
 
 ETA_MAX = 0.25
@@ -41,11 +43,12 @@ class KroneckerConfig(AlgoConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.kfac_damping > 0, "kfac_damping must be above 0")
-        require(0 <= self.kfac_decay < 1, "kfac_decay must lie in [0, 1)")
-        require(self.kfac_every >= 1, "kfac_every must be at least 1")
-        require(0 <= self.kfac_momentum < 1, "kfac_momentum must lie in [0, 1)")
-        require(
+        require_value(self, "kfac_damping", self.kfac_damping > 0, "must be above 0")
+        require_value(self, "kfac_decay", 0 <= self.kfac_decay < 1, "must lie in [0, 1)")
+        require_value(self, "kfac_every", self.kfac_every >= 1, "must be at least 1")
+        require_value(self, "kfac_momentum", 0 <= self.kfac_momentum < 1, "must lie in [0, 1)")
+        require_key(
             self.model.core == "none",
-            "model.core must be none with kfac, whose factors exist for multilayer perceptrons only",
+            "model.core",
+            "must be none with kfac, whose factors exist for multilayer perceptrons only",
         )

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
-from headway.contracts.checks import require, require_at_least
+from headway.contracts.checks import require, require_at_least, require_key, require_value
 
 SCENARIOS = ("line", "corridor", "district", "city")
 """Names of the built-in synthetic scenarios; any other `scenario` is the path of a scenario folder."""
@@ -14,13 +14,13 @@ SCENARIOS = ("line", "corridor", "district", "city")
 def _require_share(**values: float) -> None:
     """Raise ValueError unless every value lies between 0 and 1."""
     for name, value in values.items():
-        require(0 <= value <= 1, f"{name} must lie between 0 and 1, not {value:g}")
+        require_key(0 <= value <= 1, name, f"must lie between 0 and 1, not {value:g}")
 
 
 def _require_above(low: float, **values: float) -> None:
     """Raise ValueError unless every value is above `low`."""
     for name, value in values.items():
-        require(value > low, f"{name} must be above {low:g}, not {value:g}")
+        require_key(value > low, name, f"must be above {low:g}, not {value:g}")
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ class RewardConfig:
     code."""
 
     def __post_init__(self) -> None:
-        require(self.scope in ("team", "line", "own"), f"scope must be team, line or own, not '{self.scope}'")
-        require(self.preset in ("default", "paper"), f"preset must be default or paper, not '{self.preset}'")
+        require_value(self, "scope", self.scope in ("team", "line", "own"), "must be team, line or own")
+        require_value(self, "preset", self.preset in ("default", "paper"), "must be default or paper")
         require_at_least(
             0,
             service=self.service,
@@ -69,9 +69,10 @@ class RewardConfig:
             regularity=self.regularity,
         )
         _require_share(follower_share=self.follower_share)
-        require(
+        require_key(
             self.follower_share == 0 or self.scope == "own",
-            f"follower_share is for scope=own; with scope={self.scope} it must be 0",
+            "follower_share",
+            f"is for scope=own; with scope={self.scope} it must be 0",
         )
         total = self.service + self.efficiency + self.maintenance + self.regularity
         require(total > 0, "at least one of the weights must be above 0")
@@ -246,27 +247,26 @@ class BusConfig:
         return 1.0 / (x * (1.0 - math.exp(-1.0 / x)))
 
     def __post_init__(self) -> None:
-        require(bool(self.scenario), f"scenario must name {', '.join(SCENARIOS)} or a scenario folder")
+        require_value(
+            self, "scenario", bool(self.scenario), f"must name {', '.join(SCENARIOS)} or a scenario folder"
+        )
         require_at_least(0, scenario_seed=self.scenario_seed)
-        require(
-            self.day_type in ("weekday", "sunday"),
-            f"day_type must be weekday or sunday, not '{self.day_type}'",
-        )
-        require(
+        require_value(self, "day_type", self.day_type in ("weekday", "sunday"), "must be weekday or sunday")
+        require_value(
+            self,
+            "observation",
             self.observation in ("paper", "published", "control"),
-            f"observation must be paper, published or control, not '{self.observation}'",
+            "must be paper, published or control",
         )
-        require(
-            self.state in ("auto", "full", "aggregate"),
-            f"state must be auto, full or aggregate, not '{self.state}'",
+        require_value(
+            self, "state", self.state in ("auto", "full", "aggregate"), "must be auto, full or aggregate"
         )
         _require_above(0, tick_s=self.tick_s, hold_s=self.hold_s)
         require(4 <= self.start_hour < self.end_hour <= 26, "4 <= start_hour < end_hour <= 26 must hold")
-        require(
-            self.day_s % self.tick_s == 0,
-            f"tick_s {self.tick_s:g} must divide the service day of {self.day_s:g} s",
+        require_value(
+            self, "tick_s", self.day_s % self.tick_s == 0, f"must divide the service day of {self.day_s:g} s"
         )
-        require(self.capacity >= 1, "capacity must be at least 1")
+        require_value(self, "capacity", self.capacity >= 1, "must be at least 1")
         require_at_least(
             0,
             boarding_s=self.boarding_s,

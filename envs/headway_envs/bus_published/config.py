@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from headway.contracts.checks import require, require_at_least
+from headway.contracts.checks import require, require_at_least, require_value
 from headway_envs.bus.config import SCENARIOS
 
 
@@ -44,14 +44,14 @@ class RewardConfig:
             regularity=self.regularity,
             efficiency=self.efficiency,
         )
-        require(self.scope in ("own", "team"), f"scope must be own or team, not '{self.scope}'")
+        require_value(self, "scope", self.scope in ("own", "team"), "must be own or team")
         total = self.occupancy + self.uptime + self.regularity + self.efficiency
         require(total > 0, "at least one of the weights must be above 0")
         require(
             0 < self.low_occupancy < self.high_occupancy < 1,
             "0 < low_occupancy < high_occupancy < 1 must hold",
         )
-        require(self.target_headway_s > 0, f"target_headway_s must be above 0, not {self.target_headway_s:g}")
+        require_value(self, "target_headway_s", self.target_headway_s > 0, "must be above 0")
 
 
 @dataclass(frozen=True)
@@ -86,22 +86,16 @@ class BusPublishedConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
 
     def __post_init__(self) -> None:
-        require(bool(self.scenario), f"scenario must name {', '.join(SCENARIOS)} or a scenario folder")
-        require_at_least(0, scenario_seed=self.scenario_seed)
-        require(
-            self.day_type in ("weekday", "sunday"),
-            f"day_type must be weekday or sunday, not '{self.day_type}'",
+        require_value(
+            self, "scenario", bool(self.scenario), f"must name {', '.join(SCENARIOS)} or a scenario folder"
         )
+        require_at_least(0, scenario_seed=self.scenario_seed)
+        require_value(self, "day_type", self.day_type in ("weekday", "sunday"), "must be weekday or sunday")
         require_at_least(1, agents=self.agents, agents_per_route=self.agents_per_route)
         require(0 <= self.start_hour < self.end_hour <= 24, "0 <= start_hour < end_hour <= 24 must hold")
-        require(
-            self.centre is None or self.centre >= 0, f"centre must be null or at least 0, not {self.centre}"
-        )
+        require_value(self, "centre", self.centre is None or self.centre >= 0, "must be null or at least 0")
         require_at_least(1, max_steps=self.max_steps)
-        require(
-            self.observation in ("scaled", "raw"),
-            f"observation must be scaled or raw, not '{self.observation}'",
-        )
+        require_value(self, "observation", self.observation in ("scaled", "raw"), "must be scaled or raw")
 
     @property
     def routes(self) -> int:

@@ -4,7 +4,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from headway.contracts.checks import require, require_at_least
+from headway.contracts.checks import require, require_at_least, require_key, require_value
 
 MAX_VPH = 3_600
 """Maximum demand per lane and vehicle kind, vehicles per hour: one vehicle per second."""
@@ -15,12 +15,12 @@ TERMS = ("velocity", "standstill", "progress", "delay", "lane_change", "throughp
 
 
 def _one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
-    require(value in choices, f"{name} must be one of {', '.join(choices)}, not '{value}'")
+    require_key(value in choices, name, f"must be one of {', '.join(choices)}, not '{value}'")
 
 
 def _mode(bits: int, **values: int) -> None:
     for name, value in values.items():
-        require(0 <= value < 2**bits, f"{name} must lie between 0 and {2**bits - 1}, not {value}")
+        require_key(0 <= value < 2**bits, name, f"must lie between 0 and {2**bits - 1}, not {value}")
 
 
 @dataclass(frozen=True)
@@ -127,18 +127,18 @@ class IntersectionConfig:
         _one_of("on_collision", self.on_collision, ("remove_pair", "end_episode"))
         _one_of("at_exit", self.at_exit, ("truncated", "terminated"))
         require_at_least(0, vph_per_lane_hdv=self.vph_per_lane_hdv, human_noise=self.human_noise)
-        require(0 <= self.impatience <= 1, f"impatience must lie between 0 and 1, not {self.impatience:g}")
-        require(self.vph_per_lane_av > 0, f"vph_per_lane_av must be above 0, not {self.vph_per_lane_av:g}")
+        require_value(self, "impatience", 0 <= self.impatience <= 1, "must lie between 0 and 1")
+        require_value(self, "vph_per_lane_av", self.vph_per_lane_av > 0, "must be above 0")
         for name in ("vph_per_lane_hdv", "vph_per_lane_av"):
             vph = getattr(self, name)
             # SUMO creates all requested vehicles and queues those without room, without a limit.
-            require(
-                vph <= MAX_VPH, f"{name} must be at most {MAX_VPH:,}, one vehicle per second, not {vph:g}"
-            )
+            require_value(self, name, vph <= MAX_VPH, f"must be at most {MAX_VPH:,}, one vehicle per second")
         require_at_least(1, horizon=self.horizon, action_repeat=self.action_repeat, slots=self.slots)
-        require(
+        require_value(
+            self,
+            "action_repeat",
             self.action_repeat <= self.horizon,
-            f"action_repeat must be at most horizon, {self.horizon}, not {self.action_repeat}",
+            f"must be at most horizon, {self.horizon}",
         )
         _mode(7, av_speed_mode=self.av_speed_mode, hdv_speed_mode=self.hdv_speed_mode)
         _mode(12, av_lane_change_mode=self.av_lane_change_mode)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from headway.contracts.checks import require
+from headway.contracts.checks import require_value
 
 CAVS: Mapping[int, tuple[int, int]] = {1: (1, 3), 2: (2, 4), 3: (4, 6)}
 """Minimum and maximum number of CAVs per episode, by density."""
@@ -38,11 +38,10 @@ class RewardConfig:
 
     def __post_init__(self) -> None:
         for name in ("collision", "speed", "ramp_end", "spacing"):
-            require(getattr(self, name) >= 0, f"{name} must be at least 0, not {getattr(self, name):g}")
-        require(self.headway_s > 0, f"headway_s must be above 0, not {self.headway_s:g}")
-        require(
-            self.scope in ("global", "regional", "own"),
-            f"scope must be global, regional or own, not '{self.scope}'",
+            require_value(self, name, getattr(self, name) >= 0, "must be at least 0")
+        require_value(self, "headway_s", self.headway_s > 0, "must be above 0")
+        require_value(
+            self, "scope", self.scope in ("global", "regional", "own"), "must be global, regional or own"
         )
 
 
@@ -126,13 +125,15 @@ class MergeConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
 
     def __post_init__(self) -> None:
-        require(self.density in CAVS, f"density must be 1, 2 or 3, not {self.density}")
-        require(self.preset in PRESETS, f"preset must be clean or paper, not '{self.preset}'")
-        require(
+        require_value(self, "density", self.density in CAVS, "must be 1, 2 or 3")
+        require_value(self, "preset", self.preset in PRESETS, "must be clean or paper")
+        require_value(
+            self,
+            "cavs",
             self.cavs is None or 1 <= self.cavs <= MAX_CAVS,
-            f"cavs must be null or between 1 and {MAX_CAVS}, not {self.cavs}",
+            f"must be null or between 1 and {MAX_CAVS}",
         )
-        require(self.steps >= 1, f"steps must be at least 1, not {self.steps}")
+        require_value(self, "steps", self.steps >= 1, "must be at least 1")
 
     @property
     def cav_range(self) -> tuple[int, int]:

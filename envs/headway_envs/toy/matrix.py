@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult
+from headway.contracts.checks import require_key
 
 CLIMBING = ((11.0, -30.0, 0.0), (-30.0, 7.0, 6.0), (0.0, 0.0, 5.0))
 NUM_AGENTS = 2
@@ -26,12 +27,10 @@ class MatrixConfig:
 
     def __post_init__(self) -> None:
         size = len(self.payoff)
-        if size < 1 or any(len(row) != size for row in self.payoff):
-            raise ValueError(
-                f"payoff must have as many columns as rows, not rows of {[len(row) for row in self.payoff]}"
-            )
-        if not np.isfinite(self.payoff).all():
-            raise ValueError("payoff must hold finite numbers only")
+        square = size >= 1 and all(len(row) == size for row in self.payoff)
+        lengths = f"not rows of {[len(row) for row in self.payoff]}"
+        require_key(square, "payoff", f"must have as many columns as rows, {lengths}")
+        require_key(bool(np.isfinite(self.payoff).all()), "payoff", "must hold finite numbers only")
 
 
 class Matrix:

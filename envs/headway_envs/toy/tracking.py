@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Box, EnvSpec, Observations, StepResult, generator
-from headway.contracts.checks import require, require_at_least
+from headway.contracts.checks import require_at_least, require_value
 
 DIMENSIONS = 2
 SPEED = 0.1
@@ -35,8 +35,8 @@ class TrackingConfig:
 
     def __post_init__(self) -> None:
         require_at_least(1, agents=self.agents, steps=self.steps)
-        require(0 <= self.effort <= 10, f"effort must be within 0 and 10, not {self.effort}")
-        require(0 <= self.noise <= 0.1, f"noise must be within 0 and 0.1, not {self.noise}")
+        require_value(self, "effort", 0 <= self.effort <= 10, "must be within 0 and 10")
+        require_value(self, "noise", 0 <= self.noise <= 0.1, "must be within 0 and 0.1")
 
 
 def regulator(config: TrackingConfig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

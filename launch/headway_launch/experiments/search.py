@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import yaml
 
 from headway.config.schema import build, suggestion
+from headway.contracts.checks import require_key
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.compose import Experiment, compose, configs_folder
 from headway_launch.experiments.parameters import full_mapping, identity
@@ -28,8 +29,8 @@ class Search:
 
     def __post_init__(self) -> None:
         for name, values in (("cells", self.cells), ("candidates", self.candidates)):
-            if not values:
-                raise ValueError(f"{name} must have one entry or more, each a name with a list of overrides")
+            forms = "must have one entry or more, each a name with a list of overrides"
+            require_key(bool(values), name, forms)
 
     def points(self, overrides: Sequence[str] = ()) -> dict[Point, Experiment]:
         """Return the experiment of every candidate in every cell; `overrides` apply to all.

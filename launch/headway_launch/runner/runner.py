@@ -1,5 +1,6 @@
 """Execution of a session: stored runs, training, energy measurement, rule episodes, results table."""
 
+import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -152,7 +153,7 @@ class Runner:
         results = [result for cell in self._cells for result in cell.results.values()]
         folders = sorted({Path(result.directory).parent for result in results})
         where = ", ".join(relative(folder) for folder in folders)
-        option = "" if root == type(self._config.store)().root else f" --store {root}"
+        option = "" if root == type(self._config.store)().root else f" --store {shlex.quote(root)}"
         if where:
             print_line(
                 f"{seconds:.0f} s; run folders in {where}; view them with: {own_name()} browse{option}"

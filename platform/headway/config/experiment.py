@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from headway.contracts.checks import require
+from headway.contracts.checks import require_key, require_value
 
 NO_PRESET = "none"
 """Value of `preset` that leaves the defaults unchanged."""
@@ -18,12 +18,13 @@ def _require_study(name: str) -> None:
     forms = "write letters, digits, spaces and . _ -, such as study=bus_line"
     shown = repr(name) if len(name) <= _STUDY_LENGTH else f"{name[:20]!r}..."
     named = any(letter.isascii() and letter.isalnum() for letter in name)
-    require(named, f"study {shown} has no letter or digit; {forms}")
+    require_key(named, "study", f"{shown} has no letter or digit; {forms}")
     wrong = "".join(letter for letter in name if letter in "/\\" or not letter.isprintable())
-    require(not wrong, f"study {shown} has {wrong[:1]!r} in it; {forms}")
-    require(".." not in name, f"study {shown} has '..' in it; {forms}")
-    require(name == name.strip(), f"study {shown} begins or ends with a blank; {forms}")
-    require(len(name) <= _STUDY_LENGTH, f"study {shown} is longer than {_STUDY_LENGTH} letters; {forms}")
+    require_key(not wrong, "study", f"{shown} has {wrong[:1]!r} in it; {forms}")
+    require_key(".." not in name, "study", f"{shown} has '..' in it; {forms}")
+    require_key(name == name.strip(), "study", f"{shown} begins or ends with a blank; {forms}")
+    length = f"{shown} is longer than {_STUDY_LENGTH} letters; {forms}"
+    require_key(len(name) <= _STUDY_LENGTH, "study", length)
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,9 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         limit = self.max_copies_per_process
-        require(limit is None or limit >= 1, "max_copies_per_process must be at least 1, or null")
+        require_value(
+            self, "max_copies_per_process", limit is None or limit >= 1, "must be at least 1, or null"
+        )
 
 
 @dataclass(frozen=True)
@@ -74,10 +77,10 @@ class RolloutConfig:
     used."""
 
     def __post_init__(self) -> None:
-        require(self.copies >= 1, "copies must be at least 1")
-        require(self.steps >= 1, "steps must be at least 1")
-        require(self.block >= 1, "block must be at least 1")
-        require(self.copies % self.block == 0, f"block {self.block} must divide copies {self.copies}")
+        require_value(self, "copies", self.copies >= 1, "must be at least 1")
+        require_value(self, "steps", self.steps >= 1, "must be at least 1")
+        require_value(self, "block", self.block >= 1, "must be at least 1")
+        require_value(self, "block", self.copies % self.block == 0, f"must divide copies ({self.copies})")
 
 
 @dataclass(frozen=True)
@@ -116,13 +119,17 @@ class BackendConfig:
     machines share). null: `cluster` if a session trains several runs on a cluster that is not `local`."""
 
     def __post_init__(self) -> None:
-        require(self.workers is None or self.workers >= 1, "workers must be at least 1, or null")
-        require(self.parallel is None or self.parallel >= 1, "parallel must be at least 1, or null")
-        require(self.stack >= 1, "stack must be at least 1")
+        require_value(
+            self, "workers", self.workers is None or self.workers >= 1, "must be at least 1, or null"
+        )
+        require_value(
+            self, "parallel", self.parallel is None or self.parallel >= 1, "must be at least 1, or null"
+        )
+        require_value(self, "stack", self.stack >= 1, "must be at least 1")
         is_address = self.address in ("auto", "local") or _HOST_AND_PORT.fullmatch(self.address) is not None
-        require(is_address, f"address must be auto, local or HOST:PORT, not {self.address!r}")
+        require_value(self, "address", is_address, "must be auto, local or HOST:PORT")
         cpus = self.worker_cpus
-        require(cpus is None or cpus >= 0, "worker_cpus must be at least 0, or null")
+        require_value(self, "worker_cpus", cpus is None or cpus >= 0, "must be at least 0, or null")
 
     @property
     def cpus_per_worker(self) -> float:
@@ -153,11 +160,11 @@ class EvaluationConfig:
     """Rules of the environment evaluated for comparison with the learner. null: all; []: none."""
 
     def __post_init__(self) -> None:
-        require(self.episodes >= 1, "episodes must be at least 1")
-        require(self.every >= 1, "every must be at least 1")
-        require(self.final_episodes >= 1, "final_episodes must be at least 1")
-        require(self.seed >= 0, "seed must be at least 0")
-        require(len(self.modes) >= 1, "modes must name at least one of greedy, sampled")
+        require_value(self, "episodes", self.episodes >= 1, "must be at least 1")
+        require_value(self, "every", self.every >= 1, "must be at least 1")
+        require_value(self, "final_episodes", self.final_episodes >= 1, "must be at least 1")
+        require_value(self, "seed", self.seed >= 0, "must be at least 0")
+        require_key(len(self.modes) >= 1, "modes", "must name at least one of greedy, sampled")
 
     @property
     def last_episodes(self) -> int:
@@ -179,8 +186,8 @@ class StoreConfig:
     """Iterations between checkpoints. The log is made durable with each checkpoint."""
 
     def __post_init__(self) -> None:
-        require(self.curve_points >= 2, "curve_points must be at least 2")
-        require(self.checkpoint_every >= 1, "checkpoint_every must be at least 1")
+        require_value(self, "curve_points", self.curve_points >= 2, "must be at least 2")
+        require_value(self, "checkpoint_every", self.checkpoint_every >= 1, "must be at least 1")
 
 
 @dataclass(frozen=True)
@@ -199,8 +206,10 @@ class EnergyConfig:
     """Seconds between measurements."""
 
     def __post_init__(self) -> None:
-        require(self.cpu_power_w is None or self.cpu_power_w > 0, "cpu_power_w must be above 0, or null")
-        require(self.interval_s > 0, "interval_s must be above 0")
+        require_value(
+            self, "cpu_power_w", self.cpu_power_w is None or self.cpu_power_w > 0, "must be above 0, or null"
+        )
+        require_value(self, "interval_s", self.interval_s > 0, "must be above 0")
 
 
 @dataclass(frozen=True)
@@ -232,10 +241,10 @@ class ExperimentConfig:
 
     def __post_init__(self) -> None:
         _require_study(self.study)
-        require(len(self.seed) >= 1, "seed must name at least one seed")
-        require(all(seed >= 0 for seed in self.seed), "seeds must be at least 0")
-        require(len(set(self.seed)) == len(self.seed), "seeds must differ from each other")
-        require(self.env_steps >= 1, "env_steps must be at least 1")
+        require_key(len(self.seed) >= 1, "seed", "must name at least one seed")
+        require_key(all(seed >= 0 for seed in self.seed), "seed", "must not be negative")
+        require_key(len(set(self.seed)) == len(self.seed), "seed", "must hold each seed once")
+        require_value(self, "env_steps", self.env_steps >= 1, "must be at least 1")
 
     @property
     def iterations(self) -> int:

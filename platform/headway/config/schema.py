@@ -14,7 +14,8 @@ from math import isnan
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from headway.contracts.errors import HeadwayError, UnknownKeyError
+from headway.contracts.checks import shown
+from headway.contracts.errors import HeadwayError, InvalidValueError, UnknownKeyError
 
 Record = TypeVar("Record")
 
@@ -94,15 +95,10 @@ def build(
     values = {key: _convert(hints[key], value, _join(path, key)) for key, value in mapping.items()}
     try:
         return record_class(**values)
+    except InvalidValueError as error:
+        raise HeadwayError(f"{_join(path, error.key)} {error.problem}") from error
     except ValueError as error:
-        message = str(error)
-        named = message.split(" ", 1)[0].strip(":,")
-        begins_with_key = named.split(".")[0] in fields
-        given = values.get(named)
-        if isinstance(given, int | float) and " must be " in message and " not " not in message:
-            message = f"{message}, not {_show(given)}"
-        separator = "." if begins_with_key else ": "
-        raise HeadwayError(f"{path}{separator}{message}" if path else message) from error
+        raise HeadwayError(f"{path}: {error}" if path else str(error)) from error
 
 
 def refuse_targets(value: object, path: str = "") -> None:
@@ -224,7 +220,7 @@ def _check_single_choice(hint: Any, value: object, key: str, of: str, doc: str) 
     allowed = get_args(hint)
     if get_origin(hint) is Literal and len(allowed) == 1 and value != allowed[0]:
         fixed = f"{of or 'it'} has {key.rpartition('.')[2]}={allowed[0]}"
-        raise HeadwayError(f"{key}={_show(value)} is not possible: {fixed}. {doc}")
+        raise HeadwayError(f"{key}={shown(value)} is not possible: {fixed}. {doc}")
 
 
 def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value
@@ -237,7 +233,7 @@ def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any anno
         if any(value == allowed and type(value) is type(allowed) for allowed in arguments):
             return value
         allowed_names = [str(allowed) for allowed in arguments]
-        raise HeadwayError(f"{key}={_show(value)} is not possible; {suggestion(str(value), allowed_names)}")
+        raise HeadwayError(f"{key}={shown(value)} is not possible; {suggestion(str(value), allowed_names)}")
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         if isinstance(value, hint):
             return value
@@ -307,9 +303,9 @@ def _wrong_type(wanted: str, value: object, key: str) -> HeadwayError:
     kind = kinds.get(type(value), "a mapping" if isinstance(value, Mapping) else "a list")
     hint = _number_hint(value, wanted) if isinstance(value, str) else ""
     if wanted == "text" and kind in ("true or false", "a whole number", "a number"):
-        hint = f"; write it in quotes, in a shell in two kinds: \"{key}='{_show(value)}'\""
+        hint = f"; write it in quotes, in a shell in two kinds: \"{key}='{shown(value)}'\""
     article = "a " if wanted.startswith(("number", "whole number", "list", "mapping")) else ""
-    return HeadwayError(f"{key}={_show(value)} is {kind}, where {article}{wanted} is wanted{hint}")
+    return HeadwayError(f"{key}={shown(value)} is {kind}, where {article}{wanted} is wanted{hint}")
 
 
 def _number_hint(text: str, wanted: str) -> str:
@@ -323,16 +319,6 @@ def _number_hint(text: str, wanted: str) -> str:
     return "; write it without quotes"
 
 
-def _show(value: object) -> str:
-    """Return a value as YAML writes it, shortened for a message."""
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
-    text = repr(value) if isinstance(value, str) else str(value)
-    return textwrap.shorten(text, 60, placeholder="...")
-
-
 def _default_text(field: "dataclasses.Field[Any]") -> str:
     if field.default is not MISSING:
         default = field.default
@@ -341,7 +327,7 @@ def _default_text(field: "dataclasses.Field[Any]") -> str:
     else:
         return "required"
     if default is None or isinstance(default, bool):
-        return _show(default)
+        return shown(default)
     if isinstance(default, tuple | list):
         return "[" + ", ".join(str(item) for item in default) + "]"
     return str(default)

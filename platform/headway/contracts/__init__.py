@@ -21,6 +21,7 @@ Environments and algorithms import nothing else of `headway`; other packages imp
 """
 
 from headway.contracts.acting_policy import ActingPolicy, RecurrentPolicy
+from headway.contracts.checks import require_value
 from headway.contracts.entries import AlgoEntry, EnvEntry, Renderer, Rule, RuleEntry
 from headway.contracts.environment import BatchedEnv, EnvSpec, Observations, StepResult
 from headway.contracts.errors import HeadwayError
@@ -74,4 +75,5 @@ __all__ = [
     "WrapperEntry",
     "child_seeds",
     "generator",
+    "require_value",
 ]

@@ -1,21 +1,52 @@
 """Checks for the values of configuration records."""
 
+import textwrap
 from math import isfinite
+from operator import attrgetter
+
+from headway.contracts.errors import InvalidValueError
+
+_MAX_LENGTH = 60
+
+
+def shown(value: object) -> str:
+    """Return a value as YAML writes it, shortened for a message."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = repr(value) if isinstance(value, str) else str(value)
+    return textwrap.shorten(text, _MAX_LENGTH, placeholder="...")
 
 
 def require(holds: bool, message: str) -> None:
-    """Raise ValueError with `message` unless `holds`."""
+    """Raise ValueError with `message`, about several keys, unless `holds`."""
     if not holds:
         raise ValueError(message)
 
 
+def require_key(holds: bool, key: str, problem: str) -> None:
+    """Raise InvalidValueError with `key` and `problem` unless `holds`."""
+    if not holds:
+        raise InvalidValueError(key, problem)
+
+
+def require_value(record: object, key: str, holds: bool, rule: str) -> None:
+    """Raise InvalidValueError with `key`, `rule` and the record's value unless `holds`.
+
+    `rule`: such as "must be above 0". Dots in `key` lead into nested records.
+    """
+    if not holds:
+        raise InvalidValueError(key, f"{rule}, not {shown(attrgetter(key)(record))}")
+
+
 def require_finite(record: object) -> None:
-    """Raise ValueError naming the first of a record's numbers that is infinite or NaN."""
-    for name, value in vars(record).items():
-        require(not isinstance(value, float) or isfinite(value), f"{name} must be finite, not {value}")
+    """Raise InvalidValueError for the first of a record's numbers that is infinite or NaN."""
+    for key, value in vars(record).items():
+        require_value(record, key, not isinstance(value, float) or isfinite(value), "must be finite")
 
 
 def require_at_least(low: float, **values: float) -> None:
-    """Raise ValueError naming the first of `values` that is below `low` or NaN."""
-    for name, value in values.items():
-        require(value >= low, f"{name} must be at least {low:g}, not {value:g}")
+    """Raise InvalidValueError for the first of `values` that is below `low` or NaN."""
+    for key, value in values.items():
+        require_key(value >= low, key, f"must be at least {low:g}, not {value:g}")

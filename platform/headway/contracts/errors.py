@@ -13,6 +13,17 @@ class HeadwayError(Exception):
         self.details = details
 
 
+class InvalidValueError(ValueError):
+    """A value that a configuration record rejects.
+
+    `key` is the record's, or of a record in it (`model.core`); `problem` ends the sentence that it begins.
+    """
+
+    def __init__(self, key: str, problem: str) -> None:
+        super().__init__(f"{key} {problem}")
+        self.key, self.problem = key, problem
+
+
 class UnknownKeyError(HeadwayError):
     """A key that a configuration does not have. `key` is its full name and `owner` what should have it."""
 

@@ -15,6 +15,7 @@ from headway.contracts import (
     Observations,
     StepResult,
 )
+from headway.contracts.checks import require_value
 
 
 @dataclass(frozen=True)
@@ -27,10 +28,8 @@ class FrameStack:
     """Axis along which images are stacked, 0 or -1; vectors have one axis only."""
 
     def __post_init__(self) -> None:
-        if self.stack_size < 1:
-            raise ValueError(f"stack_size must be at least 1, not {self.stack_size}")
-        if self.stack_dim not in (0, -1):
-            raise ValueError(f"stack_dim must be 0 or -1, not {self.stack_dim}")
+        require_value(self, "stack_size", self.stack_size >= 1, "must be at least 1")
+        require_value(self, "stack_dim", self.stack_dim in (0, -1), "must be 0 or -1")
 
 
 class FrameStackBatch(BatchWrapper):

@@ -20,6 +20,8 @@ from headway.contracts import (
     Observations,
     StepResult,
 )
+from headway.contracts.checks import require_value
+from headway.contracts.errors import InvalidValueError
 
 Floats = NDArray[np.float32]
 _TYPE_AND_NUMBER = re.compile(r"([a-z]+)_[0-9]+.*")
@@ -44,8 +46,9 @@ class NormalizeObs:
     """New value of the observation space's upper bound."""
 
     def __post_init__(self) -> None:
-        if not self.env_min < self.env_max:
-            raise ValueError(f"env_min must be below env_max, not {self.env_min} against {self.env_max}")
+        require_value(
+            self, "env_min", self.env_min < self.env_max, f"must be below env_max ({self.env_max:g})"
+        )
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,8 @@ class DType:
         try:
             np.dtype(self.dtype)
         except TypeError:
-            raise ValueError(f"dtype must name a numpy type such as float32, not {self.dtype}") from None
+            problem = f"must name a numpy type such as float32, not {self.dtype}"
+            raise InvalidValueError("dtype", problem) from None
 
 
 @dataclass(frozen=True)

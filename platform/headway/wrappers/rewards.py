@@ -3,7 +3,6 @@
 SuperSuit scales rewards only by a function written in Python, which YAML cannot hold.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,6 +19,7 @@ from headway.contracts import (
     Observations,
     StepResult,
 )
+from headway.contracts.checks import require, require_finite
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,8 @@ class ClipReward:
 
     def __post_init__(self) -> None:
         # SuperSuit clips a reward in N summands, all but one of them 0.
-        if not self.lower_bound <= 0 <= self.upper_bound:
-            raise ValueError(
-                f"lower_bound {self.lower_bound} and upper_bound {self.upper_bound} must have 0 between them"
-            )
+        bounds = f"lower_bound {self.lower_bound} and upper_bound {self.upper_bound}"
+        require(self.lower_bound <= 0 <= self.upper_bound, f"{bounds} must have 0 between them")
 
 
 @dataclass(frozen=True)
@@ -47,8 +45,7 @@ class ScaleReward:
     """Factor of every reward."""
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.scale):
-            raise ValueError(f"scale must be finite, not {self.scale}")
+        require_finite(self)
 
 
 class ChangedRewards(BatchWrapper):

@@ -6,7 +6,7 @@ import pytest
 
 from headway.config.experiment import BackendConfig, ExperimentConfig
 from headway.config.schema import build, describe, nearest, parse_seeds, plain
-from headway.contracts import HeadwayError
+from headway.contracts import HeadwayError, require_value
 
 
 @dataclass(frozen=True)
@@ -17,8 +17,9 @@ class Inner:
     window: tuple[float, float] = (5.0, 24.0)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.share <= 1:
-            raise ValueError("share must be between 0 and 1")
+        require_value(self, "share", 0 <= self.share <= 1, "must be between 0 and 1")
+        if self.window[1] < self.window[0]:
+            raise ValueError("the window ends before it begins")
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,8 @@ def test_a_plain_record_builds_the_same_record_again() -> None:
         ({"hidden": [64, "64"]}, ["algo.hidden[1]='64' is text"]),
         ({"inner": {"window": [1]}}, ["algo.inner.window=[1] is a list, where a list of 2"]),
         ({"inner": 3}, ["algo.inner=3 is a whole number, where a mapping of keys is wanted"]),
-        ({"inner": {"share": 2}}, ["algo.inner.share must be between 0 and 1"]),
+        ({"inner": {"share": 2}}, ["algo.inner.share must be between 0 and 1, not 2.0"]),
+        ({"inner": {"window": [2, 1]}}, ["algo.inner: the window ends before it begins"]),
         ({"extra": {"_target_": "os.system"}}, ["algo.extra._target_ is not allowed"]),
     ],
 )
@@ -119,7 +121,7 @@ def test_a_missing_key_without_default_is_named() -> None:
 
 
 def test_impossible_values_of_platform_keys_are_one_line_errors() -> None:
-    with pytest.raises(HeadwayError, match=r"^rollout\.block 3 must divide copies 8$"):
+    with pytest.raises(HeadwayError, match=r"^rollout\.block must divide copies \(8\), not 3$"):
         build(ExperimentConfig, {"rollout": {"block": 3}})
     with pytest.raises(HeadwayError, match=r"^env_steps must be at least 1, not 0$"):
         build(ExperimentConfig, {"env_steps": 0})

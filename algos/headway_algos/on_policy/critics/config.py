@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from headway.contracts.checks import require
+from headway.contracts.checks import require_value
 from headway_algos.config import AlgoConfig
 from headway_algos.optim.config import ETA_MAX, AdamConfig, KroneckerConfig
 
@@ -29,11 +29,15 @@ class CriticConfig(AlgoConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(0 <= self.gae_lambda <= 1, "gae_lambda must lie in [0, 1]")
-        require(self.critic_lr is None or self.critic_lr > 0, "critic_lr must be above 0, or null")
-        require(self.epochs >= 1, "epochs must be at least 1")
-        require(self.minibatches >= 1, "minibatches must be at least 1")
-        require(self.value_clip is None or self.value_clip > 0, "value_clip must be above 0, or null")
+        require_value(self, "gae_lambda", 0 <= self.gae_lambda <= 1, "must lie in [0, 1]")
+        require_value(
+            self, "critic_lr", self.critic_lr is None or self.critic_lr > 0, "must be above 0, or null"
+        )
+        require_value(self, "epochs", self.epochs >= 1, "must be at least 1")
+        require_value(self, "minibatches", self.minibatches >= 1, "must be at least 1")
+        require_value(
+            self, "value_clip", self.value_clip is None or self.value_clip > 0, "must be above 0, or null"
+        )
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class CounterfactualConfig(CriticConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.target_every >= 1, "target_every must be at least 1")
+        require_value(self, "target_every", self.target_every >= 1, "must be at least 1")
 
 
 @dataclass(frozen=True)
@@ -73,4 +77,4 @@ class KFACCriticConfig(KroneckerConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.critic_kl_bound > 0, "critic_kl_bound must be above 0")
+        require_value(self, "critic_kl_bound", self.critic_kl_bound > 0, "must be above 0")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from headway.contracts.checks import require
+from headway.contracts.checks import require_key, require_value
 from headway_algos.config import AlgoConfig
 from headway_algos.optim.config import AdamConfig
 
@@ -16,7 +16,7 @@ class EntropyConfig(AlgoConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.entropy_coeff >= 0, "entropy_coeff must be at least 0")
+        require_value(self, "entropy_coeff", self.entropy_coeff >= 0, "must be at least 0")
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class MinibatchConfig(GradientUpdateConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.epochs >= 1, "epochs must be at least 1")
-        require(self.minibatches >= 1, "minibatches must be at least 1")
+        require_value(self, "epochs", self.epochs >= 1, "must be at least 1")
+        require_value(self, "minibatches", self.minibatches >= 1, "must be at least 1")
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,11 @@ class PPOConfig(MinibatchConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.clip > 0, "clip must be above 0")
-        require(self.kl_coeff >= 0, "kl_coeff must be at least 0")
-        require(self.kl_target > 0, "kl_target must be above 0")
-        require(
+        require_value(self, "clip", self.clip > 0, "must be above 0")
+        require_value(self, "kl_coeff", self.kl_coeff >= 0, "must be at least 0")
+        require_value(self, "kl_target", self.kl_target > 0, "must be above 0")
+        require_key(
             self.kl_coeff > 0 or self.kl_target == type(self).kl_target,
-            "kl_target applies to the penalty: set kl_coeff too, or leave kl_target out",
+            "kl_target",
+            "applies to the penalty: set kl_coeff too, or leave kl_target out",
         )

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from headway.contracts.checks import require
+from headway.contracts.checks import require, require_value
 from headway_algos.config import AlgoConfig
 from headway_algos.on_policy.updates.config import EntropyConfig, SingleStepConfig
 from headway_algos.optim.config import ETA_MAX, KroneckerConfig
@@ -31,12 +31,12 @@ class TRPOConfig(EntropyConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.kl_bound > 0, "kl_bound must be above 0")
-        require(0 <= self.accept_ratio < 1, "accept_ratio must lie in [0, 1)")
-        require(self.cg_iterations >= 1, "cg_iterations must be at least 1")
-        require(self.cg_damping > 0, "cg_damping must be above 0")
-        require(self.line_search_steps >= 0, "line_search_steps must be at least 0")
-        require(0 < self.fisher_share <= 1, "fisher_share must lie in (0, 1]")
+        require_value(self, "kl_bound", self.kl_bound > 0, "must be above 0")
+        require_value(self, "accept_ratio", 0 <= self.accept_ratio < 1, "must lie in [0, 1)")
+        require_value(self, "cg_iterations", self.cg_iterations >= 1, "must be at least 1")
+        require_value(self, "cg_damping", self.cg_damping > 0, "must be above 0")
+        require_value(self, "line_search_steps", self.line_search_steps >= 0, "must be at least 0")
+        require_value(self, "fisher_share", 0 < self.fisher_share <= 1, "must lie in (0, 1]")
         require(
             getattr(self, "critic_lr", None) is None or self.lr == type(self).lr,
             "lr or critic_lr, not both: with trpo either is the critic's learning rate",
@@ -56,4 +56,4 @@ class KFACConfig(SingleStepConfig, KroneckerConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.kl_bound > 0, "kl_bound must be above 0")
+        require_value(self, "kl_bound", self.kl_bound > 0, "must be above 0")
