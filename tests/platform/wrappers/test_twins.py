@@ -27,7 +27,7 @@ CASES: dict[str, tuple[str, list[Any]]] = {
     "clip": ("visitors", [CLIP]),
     "scale": ("matrix", [SCALE]),
     **{f"chain {name}": (name, [STACK, "agent_indicator_v0", SCALE, CLIP]) for name in ENTRIES},
-    **{f"chain repeating {name}": (name, ["agent_indicator_v0", STACK_REPEATING]) for name in ENTRIES},
+    "chain repeating bus": ("bus", ["agent_indicator_v0", STACK_REPEATING]),
     "normalise trivial": ("trivial", [NORMALISE]),
     "normalise bus": ("bus", [NORMALISE]),
     "types visitors": ("visitors", [{"name": "agent_indicator_v0", "type_only": True}]),

@@ -115,7 +115,7 @@ def _open_connection(ray: Any, address: str) -> None:  # noqa: ANN401 - a module
     _connection.print_function = ray._private.worker.print_to_stdstream
     ray._private.worker.print_to_stdstream = lambda *_, **__: None
     try:
-        with _keep_sigterm_handler():
+        with _keep_sigterm_handler(), _without_unused_daemons():
             ray.init(address, **settings)
     except Exception as error:
         _connection.users += 1
@@ -131,6 +131,25 @@ def _open_connection(ray: Any, address: str) -> None:  # noqa: ANN401 - a module
                 "started, and RAY_AUTH_TOKEN unless ~/.ray/auth_token holds the head's token"
             ) from error
         raise HeadwayError(f"the Ray cluster{where} cannot be used: {_one_line(error)}") from error
+
+
+@contextmanager
+def _without_unused_daemons() -> Iterator[None]:
+    """Let Ray start a cluster here without its dashboard's server, autoscaler and log monitor.
+
+    A session uses none of them, and each takes two seconds of a processor. Ray has no setting for it.
+    """
+    from ray._private.node import Node
+
+    names = ("start_api_server", "start_monitor", "start_log_monitor")
+    starts = {name: getattr(Node, name) for name in names if hasattr(Node, name)}
+    for name in starts:
+        setattr(Node, name, lambda *_, **__: None)
+    try:
+        yield
+    finally:
+        for name, start in starts.items():
+            setattr(Node, name, start)
 
 
 def _remove_stale_folders() -> None:

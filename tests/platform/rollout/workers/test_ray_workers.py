@@ -18,7 +18,6 @@ from rehearsal import (
     FaultConfig,
     FaultyVisitors,
     LoneVisitors,
-    RareVisitors,
     Showing,
     Taken,
     assert_same,
@@ -66,9 +65,8 @@ def _collected(plan: RolloutPlan, name: str, notices: list[str] | None = None) -
 @pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
-@pytest.mark.parametrize(("toy", "core"), [("visitors", "none"), ("tracking", "gru")])
-def test_ray_workers_equal_processes_bit_for_bit(toy: str, core: str) -> None:
-    plan = plan_of_toy(toy, seeds=(5, 6), core=core)
+def test_ray_workers_equal_processes_bit_for_bit() -> None:
+    plan = plan_of_toy("tracking", seeds=(5, 6), core="gru")
     parameters, given = parameters_of(plan), []
     for name in ("process", "ray"):
         with collector_of(plan, name, 2) as collector:
@@ -94,45 +92,16 @@ def test_ray_workers_equal_processes_bit_for_bit(toy: str, core: str) -> None:
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_ray_workers_may_each_hold_one_seed_of_a_stack() -> None:
+    """They use the parameters of the iteration, and others evaluate."""
     plan = plan_of(LoneVisitors, VISITORS, seeds=(5, 6), copies=2)
-    parameters, given = parameters_of(plan), []
+    early, late, given = parameters_of(plan), parameters_of(replace(plan, seeds=(98, 99))), []
     for name in ("process", "ray"):
         with collector_of(plan, name, 4) as collector:
             collector.begin()
-            evaluated = collector.evaluate(7, 3, False, parameters)
-            given.append((evaluated, iterations_of(collector, parameters, 1, 2)))
+            evaluated = collector.evaluate(7, 3, False, early)
+            taken = iterations_of(collector, early, 1, 1) + iterations_of(collector, late, 2, 2)
+            given.append((evaluated, taken))
             assert len(collector.process_ids()) == 4 + min(2, usable_cores())
-    assert given[0][0] == given[1][0]
-    assert_same(given[0][1], given[1][1])
-
-
-@pytest.mark.cluster
-@needs_ray
-@pytest.mark.usefixtures("local")
-def test_ray_workers_use_the_parameters_of_the_iteration() -> None:
-    plan = plan_of_toy("visitors")
-    early, late = parameters_of(plan), parameters_of(replace(plan, seeds=(99,)))
-    taken = []
-    for name in ("serial", "ray"):
-        with collector_of(plan, name) as collector:
-            collector.begin()
-            taken.append(iterations_of(collector, early, 1, 1) + iterations_of(collector, late, 2, 2))
-    assert_same(*taken)
-
-
-@pytest.mark.cluster
-@needs_ray
-@pytest.mark.usefixtures("local")
-def test_evaluation_has_a_separate_ray_worker_if_copies_per_process_are_limited() -> None:
-    plan = plan_of(RareVisitors, VISITORS, copies=2)
-    parameters, given = parameters_of(plan), []
-    for name in ("process", "ray"):
-        with collector_of(plan, name, 2) as collector:
-            collector.begin()
-            given.append(
-                (collector.evaluate(7, 3, True, parameters), iterations_of(collector, parameters, 1, 1))
-            )
-            assert len(collector.process_ids()) == 3
     assert given[0][0] == given[1][0]
     assert_same(given[0][1], given[1][1])
 
