@@ -101,7 +101,7 @@ ORDERS = {
         "One policy after another in a random order, each with its advantages weighted by the probability "
         "ratios of the policies updated before (needs several: `policies: independent` or `groups`).",
         SequentialConfig,
-        Lazy("headway_algos.on_policy.orders:sequential"),
+        Lazy("headway_algos.on_policy.sequential_order:sequential"),
     ),
 }
 KINDS: Mapping[str, dict[str, Component]] = {

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from headway.contracts import Contribution, EnvSpec, Trajectory
 from headway.contracts.acting_policy import Parameters
-from headway_algos.config import A3CConfig
 from headway_algos.networks.normalisation import RunningStatistics
+from headway_algos.on_policy.a3c_config import A3CConfig
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.updates.config import GradientUpdateConfig

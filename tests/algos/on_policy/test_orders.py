@@ -18,7 +18,8 @@ from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.learner import OnPolicyLearner
-from headway_algos.on_policy.orders import sequential, simultaneous
+from headway_algos.on_policy.orders import simultaneous
+from headway_algos.on_policy.sequential_order import sequential
 from headway_algos.on_policy.updates.gradient_update import GradientUpdate
 from headway_algos.on_policy.updates.kl_penalty import KLPenalty
 from headway_algos.on_policy.updates.losses import PPOLoss

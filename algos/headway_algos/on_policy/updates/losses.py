@@ -130,21 +130,3 @@ class A2CLoss:
         entropy = new.entropy()
         loss = -new.log_prob(batch.actions) * batch.advantages - self.entropy_coeff * entropy
         return loss, {"entropy": entropy}
-
-
-@dataclass(frozen=True)
-class SurrogateLoss:
-    """TRPO's surrogate, negative: -r A - entropy_coeff H(pi(.|o)), with r = pi(u|o) / pi_old(u|o).
-
-    Source: Schulman et al. 2015, arXiv:1502.05477, equation 14, with an entropy bonus.
-    """
-
-    entropy_coeff: float
-
-    reports: ClassVar[tuple[str, ...]] = ("entropy",)
-
-    def __call__(self, new: Distribution, batch: LossRows) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss and the entropy."""
-        ratio = (new.log_prob(batch.actions) - batch.log_probs).exp()
-        entropy = new.entropy()
-        return -ratio * batch.advantages - self.entropy_coeff * entropy, {"entropy": entropy}

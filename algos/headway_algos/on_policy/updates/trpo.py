@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from copy import copy
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -12,10 +13,29 @@ from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.networks.actor import Actor
-from headway_algos.on_policy.updates.losses import LossRows, SurrogateLoss
+from headway_algos.networks.distributions import Distribution
+from headway_algos.on_policy.updates.losses import LossRows
 from headway_algos.on_policy.updates.natural_config import TRPOConfig
 from headway_algos.optim.conjugate_gradient import conjugate_gradient
 from headway_algos.optim.fisher import fisher_product, from_vector, to_vector
+
+
+@dataclass(frozen=True)
+class SurrogateLoss:
+    """TRPO's surrogate, negative: -r A - entropy_coeff H(pi(.|o)), with r = pi(u|o) / pi_old(u|o).
+
+    Source: Schulman et al. 2015, arXiv:1502.05477, equation 14, with an entropy bonus.
+    """
+
+    entropy_coeff: float
+
+    reports: ClassVar[tuple[str, ...]] = ("entropy",)
+
+    def __call__(self, new: Distribution, batch: LossRows) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss and the entropy."""
+        ratio = (new.log_prob(batch.actions) - batch.log_probs).exp()
+        entropy = new.entropy()
+        return -ratio * batch.advantages - self.entropy_coeff * entropy, {"entropy": entropy}
 
 
 class TRPO:
