@@ -1,6 +1,6 @@
 """Store interface of the session process: cells and runs, mirrored to MLflow by a background thread."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -29,7 +29,7 @@ from headway.store.run_folder import (
 )
 from headway.store.tracking.client import Tracker
 from headway.store.tracking.sync import RunSync, send_unsent, unsent_runs
-from headway.store.tracking.thread import TrackingTask, TrackingThread
+from headway.store.tracking.thread import TrackingThread, TrackingUpdate
 
 EPISODES_RESTARTED = "episodes_restarted"
 """Tag with the iterations after which a run was resumed without snapshots of its environment."""
@@ -50,6 +50,7 @@ class SessionStore:
         make_folder(self.root)
         self.tracking_uri = config.tracking_uri
         self._mlflow = TrackingThread(self.root, config.tracking_uri)
+        self._syncs: dict[Path, RunSync] = {}
 
     @classmethod
     def open(cls, config: StoreConfig) -> Self:
@@ -111,9 +112,13 @@ class SessionStore:
         """Return the lines for the user since the last call."""
         return self._mlflow.notices()
 
-    def submit(self, task: TrackingTask) -> None:
-        """Queue a task for the MLflow thread."""
-        self._mlflow.submit(task)
+    def track(self, update: TrackingUpdate) -> None:
+        """Send an update to MLflow in the background."""
+        self._mlflow.submit(update)
+
+    def track_run(self, directory: Path) -> None:
+        """Send what MLflow lacks of a run in the background."""
+        self.track(self._syncs.setdefault(directory, RunSync(directory)).send)
 
     def close(self, seconds: float = _CLOSE_SECONDS) -> tuple[str, ...]:
         """Wait, at most `seconds`, until MLflow is up to date; return the last notices.
@@ -121,7 +126,7 @@ class SessionStore:
         Runs of earlier sessions are included.
         """
         if unsent_runs(self.root, self.tracking_uri):
-            self.submit(TrackingTask(self._send_unsent, lambda: None, self._send_unsent))
+            self.track(self._send_unsent)
         self._mlflow.close(seconds)
         return self.notices()
 
@@ -205,7 +210,7 @@ class Cell:
             _, parent = tracker.cell(self._study, self.name, self._parameters, {}, running=False)
             tracker.finish(parent, status, ended, sent, ())
 
-        self._store.submit(TrackingTask(end, lambda: None, end))
+        self._store.track(end)
 
 
 class Run:
@@ -220,8 +225,7 @@ class Run:
         self._store = store
         self._resumed_at = now()
         self._energy = EnergyLog(directory)
-        self._sync = RunSync(directory, store.curve_points)
-        self._submit(self._sync.begin)
+        store.track_run(directory)
 
     @property
     def run_id(self) -> str:
@@ -243,7 +247,7 @@ class Run:
         )
         self.record.write(self.directory)
         self._energy.write_if_due()
-        self._submit(lambda tracker: self._sync.advance(tracker, iteration))
+        self._store.track_run(self.directory)
 
     def note_restart(self, iteration: int) -> None:
         """Tag the run as resumed without snapshots, with new episodes after `iteration`.
@@ -255,7 +259,7 @@ class Run:
         after = f"{before}, {iteration}" if before else str(iteration)
         self.record = replace(self.record, tags={**self.record.tags, EPISODES_RESTARTED: after})
         self.record.write(self.directory)
-        self._submit(lambda tracker: self._sync.tag(tracker, EPISODES_RESTARTED, after))
+        self._store.track_run(self.directory)
 
     def energy(self, sample: Row) -> None:
         """Add one energy sample of this run, a row of `energy.parquet`.
@@ -282,10 +286,7 @@ class Run:
         ended = self.record.ended_as(status)
         self.record = replace(ended, duration_s=ended.duration_s + _seconds_since(self._resumed_at))
         self.record.write(self.directory)
-        self._submit(self._sync.complete)
-
-    def _submit(self, step: Callable[[Tracker], object]) -> None:
-        self._store.submit(TrackingTask(step, self._sync.reset, self._sync.catch_up))
+        self._store.track_run(self.directory)
 
 
 def _seconds_since(moment: str) -> float:

@@ -22,7 +22,7 @@ from headway.store.atomic_files import read_json
 from headway.store.checkpoint import save_checkpoint
 from headway.store.run_folder import rules_file
 from headway.store.tracking.client import Tracker
-from headway.store.tracking.thread import TrackingTask
+from headway.store.tracking.sync import RunSync
 
 ITERATIONS = 40
 
@@ -267,9 +267,8 @@ def test_an_unreadable_active_run_gives_one_notice(root: Path) -> None:
     store = SessionStore.open(StoreConfig(root=str(root)))
     broken = _begin(store, seed=0)
     (broken.directory / "curve-000001.parquet").write_bytes(b"no Parquet")
-    for iteration in (1, 2, 3):
-        store.submit(TrackingTask(broken._sync.catch_up, broken._sync.reset, broken._sync.catch_up))
-        broken.record = replace(broken.record, durable_iteration=iteration)
+    for _ in range(3):
+        store.track(RunSync(broken.directory).send)
     whole = _begin(store, seed=1)
     _train(whole, 1, ITERATIONS)
     whole.finish("FINISHED", {"final_reward": 2.0})

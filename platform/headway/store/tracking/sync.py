@@ -41,81 +41,68 @@ _FILES = (
 class RunSync:
     """Synchronisation of the run in `directory` to MLflow, for use from one thread."""
 
-    def __init__(self, directory: Path, curve_points: int) -> None:
+    def __init__(self, directory: Path) -> None:
         self.directory = directory
-        self._curve_points = curve_points
-        self._record = RunRecord.read(directory)
-        self._curve = ThinnedCurve(self._record.iterations, curve_points)
+        self._child = ""
+        """MLflow's identity of the run; empty before it is known, after an error and at the end."""
+        self._tags: Mapping[str, str] = {}
+        """Tags that MLflow has."""
+        self._curve = ThinnedCurve(0, 0)
         self._sent_iteration = -1
         """Iteration up to which the curve has been sent."""
-        self._child = ""
-        """MLflow's identity of the run; empty before `begin` and after a failure."""
 
-    def begin(self, tracker: Tracker, running: bool = True) -> None:
-        """Find or create the run in MLflow and send what its folder already holds.
+    def send(self, tracker: Tracker) -> None:
+        """Send what MLflow lacks: the run and its tags, its curve up to the last checkpoint.
+
+        Of an ended run also the files and the status; of a finished one also the summary.
+        """
+        record = RunRecord.read(self.directory)
+        ended, tags = record.settled_status != "RUNNING", _run_tags(record)
+        child, self._child = self._child, ""
+        sent: Mapping[str, frozenset[int]] = {}
+        if not child or tags != self._tags:
+            child = self._begin(tracker, record, tags, running=not ended)
+            sent = tracker.sent_steps(child)
+            self._tags, self._curve = tags, ThinnedCurve(record.iterations, record.curve_points)
+            self._sent_iteration = -1
+        self._send_curve(tracker, child, record, sent)
+        if ended:
+            self._complete(tracker, child, record)
+        else:
+            self._child = child
+
+    def _begin(self, tracker: Tracker, record: RunRecord, tags: Mapping[str, str], running: bool) -> str:
+        """Find or create the run in MLflow; return its identity there.
 
         `running`: set the status of its cell's parent run to RUNNING.
         """
-        self._record = record = RunRecord.read(self.directory)
-        self._curve, self._sent_iteration = ThinnedCurve(record.iterations, self._curve_points), -1
         experiment, parent = tracker.cell(
             record.study, record.cell, record.parameters, _cell_tags(record), running
         )
-        child = tracker.child(
-            experiment, parent, record.run_id, record.started, record.parameters, _run_tags(record)
-        )
+        child = tracker.child(experiment, parent, record.run_id, record.started, record.parameters, tags)
         state = {"uri": tracker.uri, "experiment": experiment, "parent": parent, "run": child}
         write_json(_state_file(self.directory, tracker.uri, tracker.local), state | {"complete": False})
-        iteration = _durable_iteration(self.directory, record)
-        self._send_curve(tracker, child, iteration, tracker.sent_steps(child))
-        self._child = child
+        return child
 
-    def reset(self) -> None:
-        """Restart from the contents of the folder at the next call, because something was not sent."""
-        self._child = ""
+    def _send_curve(
+        self, tracker: Tracker, child: str, record: RunRecord, sent: Mapping[str, frozenset[int]]
+    ) -> None:
+        """Send the points up to the last checkpoint that are new in the log, except at steps in `sent`."""
+        last = _durable_iteration(self.directory, record)
+        rows = read_rows(self.directory, "curve", after=self._sent_iteration)
+        durable = [row for row in rows if self._sent_iteration < int(row["iteration"]) <= last]
+        if durable:
+            tracker.points(child, record.started, self._curve.points(durable, sent))
+            self._sent_iteration = int(durable[-1]["iteration"])
 
-    def catch_up(self, tracker: Tracker) -> None:
-        """Send everything that MLflow lacks."""
-        ended = RunRecord.read(self.directory).settled_status != "RUNNING"
-        self.begin(tracker, running=not ended)
-        if ended:
-            self.complete(tracker)
-
-    def advance(self, tracker: Tracker, iteration: int) -> None:
-        """Send the new points of the curve up to `iteration`, the last one durable in the run's log."""
-        if self._child:
-            self._send_curve(tracker, self._child, iteration)
-        else:
-            self.begin(tracker)
-
-    def tag(self, tracker: Tracker, name: str, text: str) -> None:
-        """Set a tag of the run."""
-        if not self._child:
-            self.begin(tracker)
-        tracker.tag(self._child, name, text)
-
-    def complete(self, tracker: Tracker) -> None:
-        """Send the files and the status of an ended run, and the summary of a finished one."""
-        if not self._child:
-            self.begin(tracker, running=False)
-        record = RunRecord.read(self.directory)
+    def _complete(self, tracker: Tracker, child: str, record: RunRecord) -> None:
         files = sorted(file for pattern in _FILES for file in self.directory.glob(pattern))
         status = record.settled_status
         # The summary of a run that may be resumed can still change, and MLflow only appends.
         summary = _numbers(read_summary(self.directory)) if status == "FINISHED" else {}
-        tracker.finish(self._child, status, record.ended or now(), summary, files)
+        tracker.finish(child, status, record.ended or now(), summary, files)
         path = _state_file(self.directory, tracker.uri, tracker.local)
         write_json(path, read_json(path) | {"complete": _end_state(record)})
-
-    def _send_curve(
-        self, tracker: Tracker, child: str, iteration: int, sent: Mapping[str, frozenset[int]] | None = None
-    ) -> None:
-        """Send the points up to `iteration` that are new in the log, except at the steps in `sent`."""
-        rows = read_rows(self.directory, "curve", after=self._sent_iteration)
-        durable = [row for row in rows if self._sent_iteration < int(row["iteration"]) <= iteration]
-        if durable:
-            tracker.points(child, self._record.started, self._curve.points(durable, sent or {}))
-            self._sent_iteration = int(durable[-1]["iteration"])
 
 
 def sync(root: Path, tracking_uri: str | None = None) -> tuple[str, ...]:
@@ -184,7 +171,7 @@ def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> tuple[list[s
                 record = RunRecord.read(folder)
                 if _is_complete(folder, record, root, None if tracker.local else tracker.uri):
                     continue
-                RunSync(folder, record.curve_points).catch_up(tracker)
+                RunSync(folder).send(tracker)
                 sent.append(record)
             except TrackingError:
                 raise

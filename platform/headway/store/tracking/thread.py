@@ -4,7 +4,6 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from headway.contracts import HeadwayError
@@ -13,56 +12,50 @@ from headway.store.tracking.client import Tracker, TrackingError, require_answer
 _RETRY_SECONDS = 30.0
 _CONNECT_SECONDS = 120.0
 
-
-@dataclass(frozen=True)
-class TrackingTask:
-    """One update for MLflow."""
-
-    send: Callable[[Tracker], object]
-    on_failure: Callable[[], object]
-    """Called if `send` fails or is skipped."""
-    catch_up: Callable[[Tracker], object]
-    """Called after a failure, once MLflow responds again: sends everything that is missing."""
+TrackingUpdate = Callable[[Tracker], object]
+"""Sends something to MLflow. It can be repeated: after a failure it sends only what MLflow lacks."""
 
 
 class TrackingThread:
-    """Runs tracking tasks in order in a background thread.
+    """Sends updates in a background thread, equal ones that are pending once.
 
-    While MLflow fails, tasks are deferred: one notice says so, and the thread retries at intervals and at the
-    end. A task that fails for another reason, such as an unreadable run, gives one notice and is skipped. No
-    failure ends the session.
+    While MLflow fails, updates stay pending: one notice says so, and the thread retries at intervals and at
+    the end. An update that fails for another reason, such as an unreadable run, gives one notice and is
+    skipped. No failure ends the session.
     """
 
     def __init__(self, root: Path, tracking_uri: str | None) -> None:
         self._root, self._uri = root, tracking_uri
-        self._tasks: queue.SimpleQueue[TrackingTask | None] = queue.SimpleQueue()
+        self._changed = threading.Condition()
+        self._pending: dict[TrackingUpdate, None] = {}
+        """Ordered set."""
+        self._closing = self._abandoned = False
         self._notices: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._reported: set[str] = set()
         self._thread: threading.Thread | None = None
         self._tracker: Tracker | None = None
-        self._connected = threading.Event()
-        self._problem: HeadwayError | None = None
-        self._deferred: dict[Callable[[Tracker], object], None] = {}
-        """Ordered set of the `catch_up` calls of failed tasks."""
-        self._reported: set[str] = set()
-        self._failing = False
+        self._attempted = threading.Event()
+        """Set once the first connection has succeeded or failed."""
+        self._problem: Exception | None = None
+        """Why MLflow failed last; None while it responds."""
         self._retry_at = 0.0
-        self._abandoned = False
 
     def connect(self) -> None:
         """Wait until MLflow responds. Raises HeadwayError if it fails or does not respond in time."""
         if self._uri is not None:
             require_answer(self._uri)
         self._start()
-        if not self._connected.wait(_CONNECT_SECONDS):
+        if not self._attempted.wait(_CONNECT_SECONDS):
             raise HeadwayError(f"MLflow at {self._where} did not respond within {_CONNECT_SECONDS:g} s")
         if self._problem is not None:
-            raise self._problem
+            raise HeadwayError(_message(self._problem))
 
-    def submit(self, task: TrackingTask) -> None:
-        """Append a task to the queue of the thread."""
-        if not self._abandoned:
-            self._start()
-            self._tasks.put(task)
+    def submit(self, update: TrackingUpdate) -> None:
+        """Send `update` soon."""
+        with self._changed:
+            self._pending[update] = None
+            self._changed.notify()
+        self._start()
 
     def notices(self) -> tuple[str, ...]:
         """Return the lines for the user since the last call."""
@@ -72,15 +65,16 @@ class TrackingThread:
         return tuple(lines)
 
     def close(self, seconds: float) -> None:
-        """Wait, at most `seconds`, until all tasks are done, and end the thread."""
+        """Wait, at most `seconds`, until all updates are sent or MLflow fails again, and end the thread."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
         if self._thread is None:
             return
-        self._tasks.put(None)
         self._thread.join(seconds)
         if self._thread.is_alive():
             self._abandoned = True
             self._notices.put(f"MLflow was not up to date after {seconds:g} s: {_LATER}")
-        self._thread = None
 
     def _start(self) -> None:
         if self._thread is None:
@@ -88,63 +82,60 @@ class TrackingThread:
             self._thread.start()
 
     def _work(self) -> None:
-        try:
-            self._tracker = Tracker(self._root, self._uri)
-        except Exception as error:  # no tracking error may end the session
-            self._problem = HeadwayError(_message(error))
-            self._fail(error)
-        self._connected.set()
-        while (task := self._tasks.get()) is not None and not self._abandoned:
-            responds = self._tracker is not None or self._reconnect()
-            if not (responds and self._try(task.send, task.on_failure)):
-                task.on_failure()
-                self._deferred[task.catch_up] = None
-        if self._deferred and not self._abandoned:
-            self._retry_at = 0.0
-            self._reconnect()
+        closing = False
+        self._send({})
+        self._attempted.set()
+        while not closing and not self._abandoned:
+            with self._changed:
+                pause = None if self._problem is None else max(self._retry_at - time.monotonic(), 0.0)
+                self._changed.wait_for(self._is_due, pause)
+                closing = self._closing
+                updates, self._pending = self._pending, {}
+            self._send(updates)
 
-    def _try(self, step: Callable[[Tracker], object], on_failure: Callable[[], object]) -> bool:
-        """Run `step` and return whether MLflow responds; call `on_failure` after an error outside MLflow."""
-        assert self._tracker is not None
+    def _is_due(self) -> bool:
+        return self._closing or (bool(self._pending) and self._problem is None)
+
+    def _send(self, updates: dict[TrackingUpdate, None]) -> None:
+        """Send updates in order; those left when MLflow fails become pending again."""
+        unsent = dict(updates)
         try:
-            step(self._tracker)
-        except TrackingError as error:
-            self._fail(error)
-            return False
+            tracker = self._connected()
+            for update in updates:
+                if self._abandoned:
+                    return
+                self._apply(update, tracker)
+                del unsent[update]
         except Exception as error:  # no tracking error may end the session
-            on_failure()
+            if self._problem is None:
+                self._notices.put(f"MLflow is behind ({_message(error)}): training goes on, {_LATER}")
+            self._tracker, self._problem = None, error
+            self._retry_at = time.monotonic() + _RETRY_SECONDS
+            with self._changed:
+                self._pending = unsent | self._pending
+        else:
+            if self._problem is not None:
+                self._notices.put(f"MLflow at {self._where} responds again and is up to date")
+            self._problem = None
+
+    def _connected(self) -> Tracker:
+        if self._tracker is None:
+            if self._uri is not None:
+                require_answer(self._uri)
+            self._tracker = Tracker(self._root, self._uri)
+        return self._tracker
+
+    def _apply(self, update: TrackingUpdate, tracker: Tracker) -> None:
+        """Send an update. Raises TrackingError if MLflow fails; another error becomes a notice."""
+        try:
+            update(tracker)
+        except TrackingError:
+            raise
+        except Exception as error:  # no tracking error may end the session
             notice = f"MLflow does not get everything ({_message(error)}): training goes on"
             if notice not in self._reported:
                 self._reported.add(notice)
                 self._notices.put(notice)
-        return True
-
-    def _reconnect(self) -> bool:
-        """Return True if MLflow responds again and all deferred updates are sent."""
-        if time.monotonic() < self._retry_at:
-            return False
-        try:
-            if self._uri is not None:
-                require_answer(self._uri)
-            self._tracker = self._tracker or Tracker(self._root, self._uri)
-        except Exception as error:
-            self._fail(error)
-            return False
-        waiting = list(self._deferred)
-        for catch_up in waiting:
-            if not self._try(catch_up, lambda: None):
-                return False
-            del self._deferred[catch_up]
-        self._failing = False
-        if waiting:
-            self._notices.put(f"MLflow at {self._where} responds again and is up to date")
-        return True
-
-    def _fail(self, error: Exception) -> None:
-        self._tracker, self._retry_at = None, time.monotonic() + _RETRY_SECONDS
-        if not self._failing:
-            self._failing = True
-            self._notices.put(f"MLflow is behind ({_message(error)}): training goes on, {_LATER}")
 
     @property
     def _where(self) -> str:
