@@ -17,7 +17,7 @@ STEPS = 100
 @pytest.fixture
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sequence[Run]:
     """Two seeds of one stack, without MLflow."""
-    monkeypatch.setattr(SessionStore, "submit", lambda store, step: None)
+    monkeypatch.setattr(SessionStore, "track", lambda store, update: None)
     cell = SessionStore.open(StoreConfig(root=str(tmp_path))).begin_cell("study", "bus", "ippo", {})
     return [cell.begin_run(seed, "", {}, iterations=10) for seed in (0, 1)]
 
