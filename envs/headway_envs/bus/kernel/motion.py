@@ -277,7 +277,7 @@ def process_event_traced(
 
 # A function of its own: numba would compile everything that `advance` calls for the literal -1 as well.
 @compiled
-def soonest_event(world: World, c: int, first: int, last: int, until: float) -> tuple[int, float]:
+def next_event(world: World, c: int, first: int, last: int, until: float) -> tuple[int, float]:
     """Return the slot in [first, last) with the next event before `until`, and its time; else (-1, until)."""
     soonest, time = -1, until
     for n in range(first, last):
@@ -309,7 +309,7 @@ def advance(
     for line in range(net.line_slots.shape[0] - 1):
         first, last = net.line_slots[line], net.line_slots[line + 1]
         while True:
-            soonest, time = soonest_event(world, c, first, last, until)
+            soonest, time = next_event(world, c, first, last, until)
             if soonest < 0:
                 break
             if traced:
