@@ -51,6 +51,7 @@ class SessionStore:
         self.tracking_uri = config.tracking_uri
         self._mlflow = TrackingThread(self.root, config.tracking_uri)
         self._syncs: dict[Path, RunSync] = {}
+        """One per run folder, also if the run is resumed in this session: two would send points twice."""
 
     @classmethod
     def open(cls, config: StoreConfig) -> Self:

@@ -72,7 +72,7 @@ class RunSync:
             self._child = child
 
     def _begin(self, tracker: Tracker, record: RunRecord, tags: Mapping[str, str], running: bool) -> str:
-        """Find or create the run in MLflow; return its identity there.
+        """Find or create the run in MLflow, note it in the folder, and return its identity there.
 
         `running`: set the status of its cell's parent run to RUNNING.
         """

@@ -45,13 +45,16 @@ class TrackingThread:
         if self._uri is not None:
             require_answer(self._uri)
         self._start()
-        if not self._attempted.wait(_CONNECT_SECONDS):
-            raise HeadwayError(f"MLflow at {self._where} did not respond within {_CONNECT_SECONDS:g} s")
+        attempted = self._attempted.wait(_CONNECT_SECONDS)
+        if attempted and self._problem is None:
+            return
+        self.close(0.0)
         if self._problem is not None:
             raise HeadwayError(_message(self._problem))
+        raise HeadwayError(f"MLflow at {self._where} did not respond within {_CONNECT_SECONDS:g} s")
 
     def submit(self, update: TrackingUpdate) -> None:
-        """Send `update` soon."""
+        """Send `update` soon; after `close` it is left to the next session."""
         with self._changed:
             self._pending[update] = None
             self._changed.notify()
@@ -65,7 +68,7 @@ class TrackingThread:
         return tuple(lines)
 
     def close(self, seconds: float) -> None:
-        """Wait, at most `seconds`, until all updates are sent or MLflow fails again, and end the thread."""
+        """Wait, at most `seconds`, until all updates are sent or MLflow has failed twice; end the thread."""
         with self._changed:
             self._closing = True
             self._changed.notify()
@@ -82,22 +85,23 @@ class TrackingThread:
             self._thread.start()
 
     def _work(self) -> None:
-        closing = False
-        self._send({})
-        self._attempted.set()
-        while not closing and not self._abandoned:
+        while not self._closing:
+            self._send_pending()
+            self._attempted.set()
             with self._changed:
                 pause = None if self._problem is None else max(self._retry_at - time.monotonic(), 0.0)
                 self._changed.wait_for(self._is_due, pause)
-                closing = self._closing
-                updates, self._pending = self._pending, {}
-            self._send(updates)
+        for _ in range(2):  # once more if MLflow fails
+            if self._pending:
+                self._send_pending()
 
     def _is_due(self) -> bool:
         return self._closing or (bool(self._pending) and self._problem is None)
 
-    def _send(self, updates: dict[TrackingUpdate, None]) -> None:
-        """Send updates in order; those left when MLflow fails become pending again."""
+    def _send_pending(self) -> None:
+        """Connect if necessary and send the pending updates; those left when MLflow fails stay pending."""
+        with self._changed:
+            updates, self._pending = self._pending, {}
         unsent = dict(updates)
         try:
             tracker = self._connected()
