@@ -150,7 +150,8 @@ class _Subject:
 
 
 def _subject(arguments: argparse.Namespace) -> _Subject:
-    from headway_launch.experiments.compose import compose, groups
+    from headway_launch.experiments.compose import compose
+    from headway_launch.experiments.options import options
 
     if "=" in arguments.study:
         words = [arguments.study, *arguments.overrides]
@@ -164,7 +165,7 @@ def _subject(arguments: argparse.Namespace) -> _Subject:
     try:
         cells = _cells(existing_store(arguments.store), arguments.study)
     except HeadwayError as error:
-        known = groups()
+        known = options()
         for group in ("env", "experiment"):
             if arguments.study in known[group]:
                 hint = f"for rules alone: headway compare {group}={arguments.study}"

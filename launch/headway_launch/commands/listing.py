@@ -18,8 +18,9 @@ from headway.registry import (
     wrapper_entries,
     wrapper_entry,
 )
+from headway_launch.console.output import print_line
 from headway_launch.console.tables import print_table
-from headway_launch.experiments.compose import configs_folder, groups, summary_of
+from headway_launch.experiments.options import configs_folder, options, summary_of
 
 EXAMPLES = """\
 examples:
@@ -58,6 +59,7 @@ def _list_envs(name: str | None) -> None:
         summaries |= {option: summary_of("env", option) for option in _file_only_envs()}
         rows = [(key, summary, ", ".join(_rules(key))) for key, summary in summaries.items()]
         print_table(("environment", "description", "rules"), rows)
+        print_line("PettingZoo environments are chosen by their module, such as env=mpe2.simple_spread_v3")
     elif name in _file_only_envs():
         _list_group("env")(name)
     else:
@@ -101,7 +103,7 @@ def _require_env(name: str) -> str:
 
 def _file_only_envs() -> list[str]:
     """Return the environments that are defined only by a file of `configs/env`."""
-    return [option for option in groups()["env"] if option not in env_entries()]
+    return [option for option in options()["env"] if option not in env_entries()]
 
 
 def _registered_id(name: str) -> str | None:
@@ -165,13 +167,13 @@ def _list_keys(name: str | None) -> None:
 
 def _list_group(group: str) -> Callable[[str | None], None]:
     def show(name: str | None) -> None:
-        options = groups()[group]
+        names = options()[group]
         if name is None:
-            print_table((group, "description"), [(option, summary_of(group, option)) for option in options])
-        elif name in options:
+            print_table((group, "description"), [(option, summary_of(group, option)) for option in names])
+        elif name in names:
             print((configs_folder() / group / f"{name}.yaml").read_text(encoding="utf-8"), end="")
         else:
-            raise HeadwayError(f"unknown {group} {name!r}; {suggestion(name, options)}")
+            raise HeadwayError(f"unknown {group} {name!r}; {suggestion(name, names)}")
 
     return show
 

@@ -78,14 +78,13 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.threads import limit_threads
 
     limit_threads()
+    from headway.registry import env_entries
     from headway_launch.console.video import PackedFrame, write_film, write_picture
     from headway_launch.runner.warm_up import compile_kernels
 
     player = _player(arguments)
     found = player.environment
     if found.entry.renderer is None:
-        from headway.registry import env_entries
-
         renderable = sorted(name for name, entry in env_entries().items() if entry.renderer is not None)
         raise HeadwayError(
             f"{found.spec.name} cannot be rendered; environments that can: {', '.join(renderable)}"
@@ -209,15 +208,14 @@ def _player(arguments: argparse.Namespace) -> _Player:
 
 def _run(arguments: argparse.Namespace) -> "StoredRun":
     """Return the named run. Raises HeadwayError, with a hint, if the name is not a run's."""
-    from headway.registry import env_entries
     from headway.store.run_folder import run_folders
-    from headway_launch.experiments.compose import groups
+    from headway_launch.experiments.options import options
     from headway_launch.runner.stored_run import StoredRun
 
     try:
         return StoredRun.find(existing_store(arguments.store), arguments.name)
     except HeadwayError as error:
-        known = {*env_entries(), *groups()["env"]}
+        known = options()["env"]
         if arguments.name in known:
             raise HeadwayError(
                 f"{arguments.name} is an environment; add --rule RULE, or name a run"

@@ -1,1 +1,1 @@
-"""From names and overrides to validated experiments, sweeps and searches; stored runs."""
+"""Composition of validated experiments, sweeps and searches from names and overrides."""

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +24,17 @@ from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError, UnknownKeyError
 from headway.environments import chosen_env, notices_of
-from headway.registry import algo_entries, algo_entry, env_entries, is_module_path, wrapper_entry
+from headway.registry import algo_entries, algo_entry, is_module_path, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
 from headway_launch.console.output import print_line
+from headway_launch.experiments.options import NO_ENV, configs_folder, options, store_registered
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2})(?P<key>[^=+~]+)=(?P<value>.*)", re.DOTALL)
 _DELETION = re.compile(r"~(?P<key>[^=+~]+)(=.*)?", re.DOTALL)
 _SEVERAL_VALUES = re.compile(r"Ambiguous value for argument '(?P<key>[^=]*)=(?P<value>.*)'")
 _DEFAULT = "default_"
-_EXPERIMENT = "the experiment"
 """Prefix of the presets that apply unless another is chosen: `default_bus` with `env=bus`."""
-_NO_ENV = "none"
-"""The option of the group `env` that applies if none is chosen."""
-_SENTENCE = re.compile(r".*?\.(?=\s|$)")
+_EXPERIMENT = "the experiment"
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
 
@@ -277,54 +274,13 @@ def _key_elsewhere(algo: AlgoEntry, hyper_parameters: Mapping[str, Any], key: st
     return f"it is one of {', '.join(owners[:-1])} and {owners[-1]}"
 
 
-def configs_folder() -> Path:
-    """Return the folder `configs` of the project, or its copy in an installed package.
-
-    Raises HeadwayError if there is neither.
-    """
-    in_project = Path(__file__).resolve().parents[3] / "configs"
-    packaged = Path(__file__).resolve().parents[1] / "packaged_configs"
-    for folder in (in_project, packaged):
-        if (folder / "config.yaml").is_file():
-            return folder
-    raise HeadwayError(f"there are no configurations in {in_project}; reinstall headway")
-
-
-def groups() -> dict[str, tuple[str, ...]]:
-    """Return the options of each group of configuration files (`env`, `algo`, ...)."""
-    folders = sorted(folder for folder in configs_folder().iterdir() if folder.is_dir())
-    return {
-        folder.name: tuple(
-            sorted(
-                option
-                for file in folder.rglob("*.yaml")
-                if (option := str(file.relative_to(folder).with_suffix(""))) != _NO_ENV
-                or folder.name != "env"
-            )
-        )
-        for folder in folders
-    }
-
-
-def summary_of(group: str, option: str) -> str:
-    """Return the first sentence of a configuration file's first comment, Hydra directives aside."""
-    lines = (configs_folder() / group / f"{option}.yaml").read_text(encoding="utf-8").splitlines()
-    text_lines = (line for line in lines if not line.startswith("# @"))
-    comment = takewhile(
-        lambda line: line.startswith("#"), dropwhile(lambda line: not line.strip("# "), text_lines)
-    )
-    text = " ".join(line.removeprefix("#").strip() for line in comment)
-    sentence = _SENTENCE.match(text)
-    return sentence[0] if sentence else text
-
-
 def _hydra_override(override: str, overrides: Sequence[str]) -> str:
     """Return an override in Hydra's form: seeds written out, `++` before a key that no YAML file may set.
 
     Raises HeadwayError for an invalid one.
     """
     if deletion := _DELETION.fullmatch(override):
-        if deletion["key"] in groups():
+        if deletion["key"] in options():
             raise HeadwayError(f"{override}: {deletion['key']} cannot be removed; choose another option")
         return override
     parts = _OVERRIDE.fullmatch(override)
@@ -337,14 +293,18 @@ def _hydra_override(override: str, overrides: Sequence[str]) -> str:
         return f"++seed=[{','.join(str(seed) for seed in parse_seeds(value))}]"
     if prefix:
         return override
-    known = groups()
+    known = options()
     if key not in known:
         _require_known_key(key, value, overrides)
         return f"++{override}"
     if "," in value and not value.startswith(("[", "{", "'", '"')):
         raise HeadwayError(f"{override}: choose one option; `headway sweep` takes several")
+    if key == "env" and is_module_path(value):
+        return f"++env={{id:{value}}}"
     if value not in known[key]:
-        return _option_without_file(key, value, known[key])
+        or_module = ", or a PettingZoo module, such as env=mpe2.simple_spread_v3" if key == "env" else ""
+        near = suggestion(value, known[key], f"{key}=")
+        raise HeadwayError(f"{override}: there is no such {key}; {near}{or_module}")
     return override
 
 
@@ -384,22 +344,8 @@ def _names_env(overrides: Sequence[str]) -> bool:
     return any(_first_part(override) in ("env", "experiment") for override in overrides)
 
 
-def _option_without_file(group: str, option: str, options: Sequence[str]) -> str:
-    """Return the override for a registered name or a module path, which need no YAML file.
-
-    Raises HeadwayError for an unknown option.
-    """
-    if group == "env" and (option in env_entries() or is_module_path(option)):
-        return f"++env={{id:{option}}}"
-    if group == "algo" and option in algo_entries():
-        return f"++algo={{name:{option}}}"
-    raise HeadwayError(
-        f"{group}={option}: there is no such {group}; {suggestion(option, options, f'{group}=')}"
-    )
-
-
 def _experiment_hint(word: str) -> str:
-    near = nearest(word, groups().get("experiment", ()))
+    near = nearest(word, options().get("experiment", ()))
     return f"; did you mean experiment={near}?" if near else " (such as experiment=bus_mappo)"
 
 
@@ -419,6 +365,7 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[
     OmegaConf.register_new_resolver(
         "project", lambda path: str((configs_folder().parent / path).resolve()), replace=True
     )
+    store_registered()
     try:
         with initialize_config_dir(str(configs_folder()), version_base="1.3"):
             composed = hydra_compose("config", overrides=list(overrides), return_hydra_config=True)
@@ -428,7 +375,7 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[
         mapping = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
     except MissingMandatoryValue as error:
         key = error.full_key
-        if key == "env.id" and chosen.get("env") == _NO_ENV:
+        if key == "env.id" and chosen.get("env") == NO_ENV:
             raise HeadwayError(
                 "no experiment is named; write experiment=NAME (`headway list experiments`), such as "
                 "experiment=bus_mappo, or env=NAME and algo=NAME"

@@ -8,7 +8,8 @@ import yaml
 from headway.config.schema import build, suggestion
 from headway.contracts.checks import require_key
 from headway.contracts.errors import HeadwayError
-from headway_launch.experiments.compose import Experiment, compose, configs_folder
+from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.options import configs_folder
 from headway_launch.experiments.parameters import full_mapping, identity
 from headway_launch.experiments.sweep import require_one_session
 

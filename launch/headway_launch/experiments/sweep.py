@@ -5,7 +5,8 @@ from itertools import product
 
 from headway.config.schema import parse_seeds
 from headway.contracts.errors import HeadwayError
-from headway_launch.experiments.compose import Experiment, compose, groups
+from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.options import options
 from headway_launch.experiments.parameters import session_settings
 
 _FORMS = "write KEY=a,b, KEY=choice(a,b) or KEY=range(0,5)"
@@ -46,10 +47,10 @@ def _swept_values(override: str) -> list[str]:
         return [override]
     value = parsed.value()
     if isinstance(value, Glob):
-        options = value.filter(list(groups().get(key, ())))
-        if not options:
+        matching = value.filter(list(options().get(key, ())))
+        if not matching:
             raise HeadwayError(f"{override} matches nothing; {_FORMS}")
-        return [f"{key}={option}" for option in options]
+        return [f"{key}={option}" for option in matching]
     if not (parsed.is_choice_sweep() or parsed.is_range_sweep()):
         raise HeadwayError(f"{override} has no values to sweep; {_FORMS}")
     return [f"{key}={option}" for option in parsed.sweep_string_iterator()]

@@ -11,7 +11,8 @@ from typing import Any
 
 from headway.config.experiment import NO_PRESET
 from headway.contracts.errors import HeadwayError
-from headway_launch.experiments.compose import compose, groups
+from headway_launch.experiments.compose import compose
+from headway_launch.experiments.options import options
 from headway_launch.experiments.parameters import flat, full_mapping
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*")
@@ -55,7 +56,7 @@ def _line(words: Sequence[str]) -> str:
 
 def _words(values: Mapping[str, Any], preset: str) -> list[str]:
     chosen = [f"env={values['env.id']}", f"algo={values['algo.name']}"]
-    by_default = f"default_{values['env.id']}" in groups()["preset"]
+    by_default = f"default_{values['env.id']}" in options()["preset"]
     chosen += [f"preset={preset}"] if preset != NO_PRESET or by_default else []
     known = _chosen(*chosen)
     differing = [key for key, value in values.items() if key not in known or known[key] != value]

@@ -9,7 +9,8 @@ from headway.config.experiment import ExperimentConfig, RolloutConfig
 from headway.config.schema import describe
 from headway.contracts import HeadwayError
 from headway.registry import algo_entries, env_entries
-from headway_launch.experiments.compose import compose, groups, resolve, summary_of
+from headway_launch.experiments.compose import compose, resolve
+from headway_launch.experiments.options import options, summary_of
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 from headway_launch.experiments.search import read_search
 from headway_launch.experiments.sweep import compose_sweep
@@ -157,7 +158,7 @@ def test_a_preset_that_was_chosen_is_never_dropped() -> None:
 
 
 def test_no_environment_is_no_option() -> None:
-    assert "none" not in groups()["env"]
+    assert "none" not in options()["env"]
     with pytest.raises(HeadwayError, match="env=none: there is no such env"):
         compose(["env=none"])
 
@@ -295,7 +296,7 @@ def test_the_evaluation_environment_is_independent_of_training_settings() -> Non
         ["algo=ippo", "rollout.steps=128"],
     ):
         assert compose(["env=trivial", *words]).evaluated_env == plain.evaluated_env
-    spread = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3"]
+    spread = ["env=mpe2.simple_spread_v3"]
     assert compose([*spread, "env.max_copies_per_process=4"]).evaluated_env != compose(spread).evaluated_env
     for words in (["env.args.steps=9"], ["env.wrappers=[clip_reward_v0, agent_indicator_v0]"]):
         assert compose(["env=trivial", *words]).evaluated_env != plain.evaluated_env
@@ -405,15 +406,17 @@ def _of_study(option: str) -> ExperimentConfig:
     return compose([f"experiment={option}"]).config
 
 
-@pytest.mark.parametrize("option", groups()["experiment"])
+@pytest.mark.parametrize("option", options()["experiment"])
 def test_every_experiment_composes_and_has_a_summary(option: str) -> None:
     assert summary_of("experiment", option).endswith(".")
     assert _of_study(option).study
 
 
-@pytest.mark.parametrize("name", quick_or_slow({name: (name,) for name in groups()["search"]}, "bus_horizon"))
+@pytest.mark.parametrize(
+    "name", quick_or_slow({name: (name,) for name in options()["search"]}, "bus_horizon")
+)
 def test_every_search_composes_on_seeds_that_no_study_reports(name: str) -> None:
-    reported = {seed for option in groups()["experiment"] for seed in _of_study(option).seed}
+    reported = {seed for option in options()["experiment"] for seed in _of_study(option).seed}
     for experiment in read_search(name).points().values():
         assert reported.isdisjoint(experiment.config.seed)
         assert experiment.config.study.startswith("search_")

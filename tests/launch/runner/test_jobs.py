@@ -109,7 +109,7 @@ def _with_settings(way: str, config: ExperimentConfig) -> ExperimentConfig:
 
 def _limited(*overrides: str) -> Experiment:
     """Return an experiment whose environment is limited to four copies per process."""
-    bare = ("env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.max_copies_per_process=4")
+    bare = ("env=mpe2.simple_spread_v3", "env.max_copies_per_process=4")
     return compose([*bare, "algo=ippo", "seed=0,1", "rollout.copies=8", *overrides])
 
 
@@ -130,7 +130,7 @@ def test_jobs_have_the_workers_that_their_own_configuration_needs() -> None:
 
 
 def test_a_stack_has_one_worker_per_part_that_a_process_can_hold() -> None:
-    words = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3", "env.max_copies_per_process=1", "algo=ippo"]
+    words = ["env=mpe2.simple_spread_v3", "env.max_copies_per_process=1", "algo=ippo"]
     stacked = compose([*words, "seed=0..6", "backend.stack=5", "rollout.copies=2", "rollout.block=2"])
     jobs = plan_jobs(stacked)
     for cores, cluster_cpus, parallel in ((2, None, 1), (3, None, 1), (4, None, 2), (9, 19, 1), (9, 20, 2)):

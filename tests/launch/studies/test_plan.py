@@ -126,7 +126,7 @@ def test_resumed_runs_take_the_session_settings_but_keep_their_backend(
 
 def test_smaller_blocks_than_requested_are_the_same_configuration(tmp_path: Path) -> None:
     """A run is identified by its requested blocks, and resumes with those that it was trained with."""
-    limited = ("algo=ippo", "env=pettingzoo", "env.id=mpe2.simple_spread_v3",
+    limited = ("algo=ippo", "env=mpe2.simple_spread_v3",
                "env.max_copies_per_process=2", "backend=process", "evaluation.rules=[]")  # fmt: skip
     [cell] = plan_cells([progress(tmp_path, *limited, "seed=0")])
     store = SessionStore.open(cell.experiment.config.store)

@@ -291,7 +291,7 @@ def test_a_run_placed_on_the_cluster_requests_at_most_the_cpus_of_a_node(
     from headway_launch.runner.cores import workers_of
     from headway_launch.runner.jobs import plan_jobs
 
-    bare = ["env=pettingzoo", "env.id=mpe2.simple_spread_v3", "algo=ippo", "seed=0..9", "backend=ray"]
+    bare = ["env=mpe2.simple_spread_v3", "algo=ippo", "seed=0..9", "backend=ray"]
     composed = compose([*bare, "rollout.copies=2", "rollout.block=2", *words])
     jobs = plan_jobs(composed)
     cpus = None if node_cpus is None else 8
