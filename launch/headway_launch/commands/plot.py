@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
 from headway_launch.console.output_files import write_figure
-from headway_launch.studies.run_filter import parse_conditions, require_known
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,15 +55,13 @@ def execute(arguments: argparse.Namespace) -> int:
     """Plot, and print the path of the picture."""
     from headway.stats import frames, plots
     from headway.store import RunSelection
+    from headway_launch.studies.run_filter import filter_runs
     from headway_launch.studies.runs import curves_of, finished_runs, rules_beside
 
     root = existing_store(arguments.store)
-    conditions = parse_conditions(arguments.where)
     named: str = arguments.metric
     metric = named if "/" in named else f"evaluation_greedy/{named}"
-    finished = finished_runs(root, arguments.study)
-    require_known(finished, conditions, "")
-    chosen = tuple(row for row in finished if all(condition.holds(row) for condition in conditions))
+    chosen = tuple(filter_runs(finished_runs(root, arguments.study), arguments.where))
     if not chosen:
         raise HeadwayError(f"--where: no finished run of {arguments.study} matches; see headway runs --where")
     runs = RunSelection(root, chosen)

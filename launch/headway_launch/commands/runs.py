@@ -13,7 +13,6 @@ from headway.contracts.errors import HeadwayError
 from headway.store.run_folder import STATUSES
 from headway_launch.console.tables import Value, print_table, without_empty
 from headway_launch.runner.results import AUC_HEADING, CO2_HEADING
-from headway_launch.studies.run_filter import in_order, parse_conditions, require_known
 
 if TYPE_CHECKING:
     from headway.store.index import RunRow
@@ -27,8 +26,9 @@ examples:
   headway runs --where 'final_reward>300 and algo.lr<1e-3' --sort 'final_reward desc'
   headway diff RUN RUN                             settings and results of two runs side by side
 
-Conditions and --sort use the field names of --format csv and dotted parameters such as algo.lr. A narrow
-terminal omits columns and names them below the table. A run can be named by any unique part of its name.
+Conditions are SQL expressions (and, or, not, in, between, like). They and --sort use the field names of
+--format csv and dotted parameters such as algo.lr. A narrow terminal omits columns and names them below the
+table. A run can be named by any unique part of its name.
 The table rounds numbers; csv and json have field names and all digits.
 AUC is normalised by the range of each run's own curve: it shows how early a run learns, not how well. A run
 evaluated fewer than three times has none; a flat curve has 0.5.
@@ -108,6 +108,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Print the runs that pass the filters."""
     from headway.store.index import RunIndex
+    from headway_launch.studies.run_filter import filter_runs
 
     index = RunIndex(existing_store(arguments.store))
     everything = index.rows()
@@ -121,19 +122,16 @@ def execute(arguments: argparse.Namespace) -> int:
     seeds = parse_seeds(arguments.seed, "--seed") if arguments.seed else None
     if seeds is not None and everything and not {row.seed for row in everything} & set(seeds):
         raise HeadwayError(f"--seed {arguments.seed}: no run has such a seed")
-    conditions = parse_conditions(arguments.where)
-    require_known(everything, conditions, arguments.sort)
     rows = [
         row
-        for row in everything
+        for row in filter_runs(everything, arguments.where, arguments.sort)
         if arguments.study in (None, row.study)
         and arguments.env in (None, row.environment)
         and arguments.algo in (None, row.algorithm)
         and status in (None, row.status)
         and (seeds is None or row.seed in seeds)
-        and all(condition.holds(row) for condition in conditions)
     ]
-    _print(in_order(rows, arguments.sort), arguments.format)
+    _print(rows, arguments.format)
     return 0
 
 

@@ -1,140 +1,145 @@
-"""Conditions and sort keys on the run index: `final_reward>300`, `final_reward desc, seed`."""
+"""Conditions and sort keys of `headway runs` and `headway plot`, evaluated by SQLite.
 
-import math
-import operator
+`final_reward>300 and (algo.lr<1e-3 or seed in (1, 2))` is an SQL expression whose columns are the fields of
+the index and the runs' parameters by their dotted names.
+"""
+
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from functools import cache
+import sqlite3
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import astuple, fields
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
+from headway.store.index import RunRow
+from headway.store.run_folder import RunRecord
 
-if TYPE_CHECKING:
-    from headway.store.index import RunRow
-
-Value = str | int | float | None
-
-_CONDITION = re.compile(r"\s*(?P<field>[\w./]+)\s*(?P<sign><=|>=|!=|==|=|<|>)\s*(?P<value>.*?)\s*")
-_AND = re.compile(r"\s+and\s+|\s*&&\s*")
-_OR = re.compile(r"\s+or\s+|\|\|")
-_SIGNS: dict[str, Callable[[float | str, float | str], bool]] = {
-    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
-    "=": operator.eq, "==": operator.eq, "!=": operator.ne,
-}  # fmt: skip
-_FORMS = "write FIELD<VALUE, <=, >, >=, = or !=, such as --where 'final_reward>300 and seed<10'"
-
-
-@dataclass(frozen=True)
-class Condition:
-    """A comparison of a field of the index, or of a parameter by its dotted name, with a value."""
-
-    field: str
-    sign: str
-    value: str
-
-    def holds(self, row: "RunRow") -> bool:
-        """Return whether a run meets the condition; false if its value is unknown.
-
-        Raises HeadwayError if text is ordered against a number.
-        """
-        known = value_of(row, self.field)
-        if known is None:
-            return False
-        number, own = _number(self.value), _number(str(known))
-        if number is not None and own is not None:
-            return _SIGNS[self.sign](own, number)
-        if self.sign not in ("=", "==", "!="):
-            condition = f"{self.field}{self.sign}{self.value}"
-            if own is not None:
-                raise HeadwayError(
-                    f"--where: {condition} compares a number, but {self.value!r} is not one; {_FORMS}"
-                )
-            raise HeadwayError(f"--where: {condition} orders text ({known}); use = or !=")
-        return _SIGNS[self.sign](str(known), self.value)
+_TOKEN = re.compile(
+    r"""'[^']*'
+    | "(?P<quoted>[^"]*)"
+    | (?P<equals>==|!=|<>|(?<![<>])=)\s*(?P<text>\[[^]]*\]|[^\s'"(),]+)
+    | (?P<ordered>[a-z_][\w./]*)(?P<bound>\s*[<>]=?\s*[-+.\d][\d.]*(?:e[-+]?\d+)?)
+    | [\d.]+(?:e[-+]?\d+)?
+    | (?P<word>[a-z_][\w./]*)""",
+    re.VERBOSE | re.IGNORECASE,
+)
+_COMPARISON = re.compile(r"[<>=]|\b(in|like|glob|between|is)\b", re.IGNORECASE)
+_SORT_KEY = re.compile(r"(?P<field>\S+)(?P<direction>\s+(asc|desc))?", re.IGNORECASE)
+_KEYWORDS = {"and", "or", "not", "in", "is", "null", "between", "like", "glob"}
+_FORMS = "write FIELD<VALUE, <=, >, >=, = or !=, joined by and or or: --where 'final_reward>300 and seed<10'"
+_FIELDS = {item.name: item.type in (int, float, float | None) for item in fields(RunRow)}
+"""The fields of the index, and whether their values are numbers."""
 
 
-def parse_conditions(texts: Sequence[str]) -> list[Condition]:
-    """Return the conditions of `--where`, all of which must hold. Raises HeadwayError for an invalid one."""
-    conditions = []
-    for text in (part for whole in texts for part in _AND.split(whole)):
-        if _OR.search(text):
-            raise HeadwayError(
-                f"--where {text!r}: conditions are joined by 'and' only; list runs once for each"
-            )
-        found = _CONDITION.fullmatch(text)
-        if found is None or not found["value"]:
-            raise HeadwayError(f"--where {text!r} is not a condition; {_FORMS}")
-        _require_field("--where", found["field"])
-        conditions.append(Condition(found["field"], found["sign"], found["value"].strip("'\"")))
-    return conditions
+def filter_runs(rows: Sequence[RunRow], conditions: Sequence[str], sort: str = "") -> list[RunRow]:
+    """Return the runs that meet all `conditions`, ordered by `sort`.
 
+    A condition does not hold for a run whose value is unknown. A word after `=` or `!=` is text and needs no
+    quotes. `sort`: comma-separated fields, each optionally followed by ` desc`; unknown values come last.
 
-def require_known(rows: Sequence["RunRow"], conditions: Sequence[Condition], keys: str) -> None:
-    """Raise HeadwayError for a parameter in the conditions, or in the sort `keys`, that no run has."""
-    named = [("--where", condition.field) for condition in conditions]
-    named += [("--sort", key.split()[0]) for key in keys.split(",") if key.strip()]
-    for option, field in named:
-        if "." in field and rows and all(value_of(row, field) is None for row in rows):
-            known = {name for row in rows for name in _parameters(row.directory)}
-            raise HeadwayError(f"{option}: no run has the parameter {field!r}; {suggestion(field, known)}")
-
-
-def in_order(rows: Sequence["RunRow"], keys: str) -> list["RunRow"]:
-    """Return the runs sorted by comma-separated fields, each optionally followed by ` desc`.
-
-    Runs with an unknown value come last. Raises HeadwayError for an unknown field.
+    Raises HeadwayError for an unknown field or parameter and for an invalid expression.
     """
-    ordered = list(rows)
-    for key in reversed([key.strip() for key in keys.split(",") if key.strip()]):
-        field, _, direction = key.partition(" ")
-        descending = direction.strip().lower() == "desc"
-        if not descending and direction.strip().lower() not in ("", "asc"):
-            raise HeadwayError(f"--sort {key!r}: write FIELD, FIELD asc or FIELD desc, separated by commas")
-        _require_field("--sort", field)
-        known = [row for row in ordered if value_of(row, field) is not None]
-        unknown = [row for row in ordered if value_of(row, field) is None]
-        known.sort(key=lambda row: _sort_key(value_of(row, field)), reverse=descending)
-        ordered = known + unknown
-    return ordered
+    columns = _Columns(rows)
+    where = {text: _expression(text, columns) for text in conditions}
+    order = [_sort_key(key.strip(), columns) for key in sort.split(",") if key.strip()]
+    with closing(sqlite3.connect(":memory:")) as database:
+        columns.write(database)
+        for text, expression in where.items():
+            try:
+                database.execute(f"SELECT 1 FROM runs WHERE {expression} LIMIT 0")
+            except sqlite3.Error as error:
+                raise HeadwayError(f"--where {text!r} is not a condition ({error}); {_FORMS}") from error
+        chosen = " AND ".join(f"({expression})" for expression in where.values()) or "TRUE"
+        found = database.execute(f"SELECT row FROM runs WHERE {chosen} ORDER BY {', '.join([*order, 'row'])}")
+        return [rows[row] for (row,) in found]
 
 
-def value_of(row: "RunRow", field: str) -> Value:
-    """Return a column of a run or, if `field` has a dot, one of its parameters; None if unknown or NaN."""
-    if "." not in field:
-        value: Value = getattr(row, field)
-        return None if isinstance(value, float) and math.isnan(value) else value
-    return _parameters(row.directory).get(field)
+class _Columns:
+    """The columns that conditions and sort keys name: fields of the index and parameters of the runs."""
+
+    def __init__(self, rows: Sequence[RunRow]) -> None:
+        self._rows = rows
+        self._named: dict[str, None] = {}
+
+    def named(self, option: str, name: str) -> str:
+        """Return a column's name in SQL. Raises HeadwayError if neither a field nor a run's parameter."""
+        known = {key for parameters in self._parameters for key in parameters} if "." in name else _FIELDS
+        if name not in known and "." not in name:
+            near = suggestion(name, known)
+            raise HeadwayError(
+                f"{option}: a run has no field {name!r}; {near}; or a parameter, such as algo.lr"
+            )
+        if name not in known and self._rows:
+            raise HeadwayError(f"{option}: no run has the parameter {name!r}; {suggestion(name, known)}")
+        if "." in name:
+            self._named[name] = None
+        return f'"{name}"'
+
+    def text_of(self, name: str) -> str | None:
+        """Return a value of the column that is not a number; None if there is none."""
+        if "." not in name:
+            return None if _FIELDS[name] else next((str(getattr(row, name)) for row in self._rows), "text")
+        values = (parameters[name] for parameters in self._parameters if name in parameters)
+        return next((value for value in values if not _is_number(value)), None)
+
+    def write(self, database: sqlite3.Connection) -> None:
+        """Write the table `runs`: `row`, the position of a run, the fields and the named parameters.
+
+        Text that is a number becomes one in a parameter's column.
+        """
+        names = [*_FIELDS, *self._named]
+        types = ["NUMERIC" if _FIELDS.get(name, True) else "TEXT" for name in names]
+        columns = (f'"{name}" {kind}' for name, kind in zip(names, types, strict=True))
+        database.execute(f"CREATE TABLE runs (row, {', '.join(columns)})")
+        insert = f"INSERT INTO runs VALUES (?{', ?' * len(names)})"
+        for position, row in enumerate(self._rows):
+            parameters = [self._parameters[position].get(name) for name in self._named]
+            database.execute(insert, (position, *astuple(row), *parameters))
+
+    @cached_property
+    def _parameters(self) -> list[Mapping[str, str]]:
+        return [RunRecord.read(Path(row.directory)).parameters for row in self._rows]
 
 
-@cache
-def _parameters(directory: str) -> Mapping[str, str]:
-    """Return the parameters of the run in a folder, cached because each condition and sort key reads them."""
-    from headway.store.run_folder import RunRecord
+def _expression(text: str, columns: _Columns) -> str:
+    """Return a condition in SQL: columns quoted, and the words after `=` and `!=` as text."""
 
-    return RunRecord.read(Path(directory)).parameters
+    def in_sql(token: re.Match[str]) -> str:
+        if token["quoted"] is not None:
+            return _quoted(token["quoted"])
+        if (value := token["text"]) is not None:
+            return token["equals"] + (value if _is_number(value) else _quoted(value))
+        if (name := token["ordered"]) is not None:
+            column = columns.named("--where", name)
+            if (other := columns.text_of(name)) is not None:
+                raise HeadwayError(f"--where: {token[0]} orders text ({other}); use = or !=")
+            return column + token["bound"]
+        if (word := token["word"]) is not None and word.lower() not in _KEYWORDS:
+            return columns.named("--where", word)
+        return token[0]
+
+    if not _COMPARISON.search(text):
+        raise HeadwayError(f"--where {text!r} is not a condition; {_FORMS}")
+    return _TOKEN.sub(in_sql, text)
 
 
-def _require_field(option: str, field: str) -> None:
-    from headway.store.index import RunRow
-
-    known = [item.name for item in fields(RunRow)]
-    if "." not in field and field not in known:
-        hint = suggestion(field, known)
-        raise HeadwayError(f"{option}: a run has no field {field!r}; {hint}; or a parameter, such as algo.lr")
+def _sort_key(key: str, columns: _Columns) -> str:
+    found = _SORT_KEY.fullmatch(key)
+    if found is None:
+        raise HeadwayError(f"--sort {key!r}: write FIELD, FIELD asc or FIELD desc, separated by commas")
+    return f"{columns.named('--sort', found['field'])}{found['direction'] or ''} NULLS LAST"
 
 
-def _sort_key(value: Value) -> tuple[int, float, str]:
-    """Return the sort key of a value: numbers by size, then text in alphabetical order."""
-    number = float(value) if isinstance(value, int | float) else _number(str(value))
-    return (0, number, "") if number is not None else (1, 0.0, str(value))
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
 
 
-def _number(text: str) -> float | None:
-    """Return the number in a text; None if it is not a number."""
+def _is_number(text: str) -> bool:
     try:
-        return float(text)
+        float(text)
     except ValueError:
-        return None
+        return False
+    return True

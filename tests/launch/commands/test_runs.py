@@ -24,7 +24,8 @@ def store(tmp_path: Path) -> Path:
         run_id, directory = create_run_folder(tmp_path, "bus", f"bus-{algorithm}-1f2e3d", seed)
         record = RunRecord(
             run_id, "bus", "bus", algorithm, seed, 10, now(), Process.current(), "FINISHED",
-            parameters={"algo.lr": "0.001" if seed else "3e-05"}, tags={"git.revision": "abc"},
+            parameters={"algo.lr": "0.001" if seed else "3e-05", "algo.core": "gru"},
+            tags={"git.revision": "abc"},
         )  # fmt: skip
         record = record if reward else replace(record, status="KILLED")
         record.write(directory)
@@ -55,6 +56,9 @@ def seeds(capsys: pytest.CaptureFixture[str]) -> list[int]:
         (["--where", "algo.lr<1e-4"], [0]),
         (["--where", "final_reward>0", "--where", "algo.lr=1e-3"], [1, 3]),
         (["--where", "cpu_seconds>=102"], [2, 3]),
+        (["--where", "algorithm=mappo and (seed=2 or algo.lr=1e-3)"], [2, 3]),
+        (["--where", "not seed in (0, 3) and final_reward between 1e-1 and 4e+2"], [1]),
+        (["--where", "algorithm like 'm%' and run_id!=\"it's\""], [2, 3]),
         (["--sort", "final_reward"], [3, 0, 1, 2]),
         (["--sort", "final_reward desc"], [1, 0, 3, 2]),
         (["--sort", "algorithm desc, final_reward"], [3, 2, 0, 1]),
@@ -85,10 +89,12 @@ def test_lines_of_csv_end_as_those_of_other_commands_do(
         (["--where", "algo.lrr<1"], "--where: no run has the parameter 'algo.lrr'; did you mean algo.lr?"),
         (["--sort", "seed, algo.lrr desc"], "--sort: no run has the parameter 'algo.lrr'"),
         (["--where", "status>3"], "status>3 orders text (FINISHED)"),
-        (["--where", "final_reward<abc"], "final_reward<abc compares a number, but 'abc' is not one; write"),
+        (["--where", "algo.core>3"], "algo.core>3 orders text (gru)"),
+        (["--where", "final_reward<abc"], "a run has no field 'abc'"),
+        (["--where", "seed in (1, 2"], "'seed in (1, 2' is not a condition ("),
+        (["--where", "seed=1) or (seed=2"], "'seed=1) or (seed=2' is not a condition ("),
         (["--seed", "99"], "--seed 99: no run has such a seed"),
         (["--where", "final_reward"], "'final_reward' is not a condition; write FIELD<VALUE"),
-        (["--where", "seed=0 or seed=1"], "'seed=0 or seed=1': conditions are joined by 'and' only"),
         (["--sort", "sede"], "did you mean seed?"),
         (["--sort", "seed downwards"], "write FIELD, FIELD asc or FIELD desc"),
     ],
