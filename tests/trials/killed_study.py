@@ -8,6 +8,7 @@ Prints the differences and exits with code 1 if there are any.
 """
 
 import argparse
+import os
 import random
 import signal
 import subprocess
@@ -52,6 +53,8 @@ KILLS = (
     Kill("rollout worker", signal.SIGTERM, then=signal.SIGKILL),
     Kill("session", signal.SIGTERM),
     Kill("rollout worker", signal.SIGKILL, then=signal.SIGTERM),
+    Kill("process group", signal.SIGKILL),
+    Kill("fork server", signal.SIGKILL, then=signal.SIGTERM),
 )
 
 
@@ -121,7 +124,7 @@ def _strike(command: Sequence[str], root: Path, iterations: int, kill: Kill, cha
         time.sleep(chance.uniform(0.0, 1.0))
         was_alive, descendants = False, _children(session.pid) if session.poll() is None else []
         for process in (_processes(session.pid, kill.victim) or processes)[:1]:
-            was_alive = session.poll() is None and _send(process, kill.number)
+            was_alive = session.poll() is None and _send(process, kill)
         if kill.then is not None and session.poll() is None:
             time.sleep(chance.uniform(0.2, 2.0))
             was_alive |= session.poll() is None
@@ -152,19 +155,21 @@ def _headway(command: Sequence[str]) -> list[str]:
 
 
 def _processes(session: int, victim: str) -> list[psutil.Process]:
-    if victim == "session":
+    if victim in ("session", "process group"):
         return [psutil.Process(session)] if psutil.pid_exists(session) else []
     trainers = [child for child in _children(session, recursive=False) if "spawn_main" in _command(child)]
     if victim == "training process":
         return trainers
     # A worker is a child of the fork server, which is one of the training process.
-    return [
-        worker
+    servers = [
+        child
         for trainer in trainers
-        for server in _children(trainer.pid, recursive=False)
-        if "forkserver" in _command(server)
-        for worker in _children(server.pid, recursive=False)
+        for child in _children(trainer.pid, recursive=False)
+        if "forkserver" in _command(child)
     ]
+    if victim == "fork server":
+        return servers
+    return [worker for server in servers for worker in _children(server.pid, recursive=False)]
 
 
 def _children(pid: int, recursive: bool = True) -> list[psutil.Process]:
@@ -181,11 +186,14 @@ def _command(process: psutil.Process) -> str:
         return ""
 
 
-def _send(process: psutil.Process, number: signal.Signals) -> bool:
-    """Send a signal; return whether the process existed."""
+def _send(process: psutil.Process, kill: Kill) -> bool:
+    """Send the signal; return whether the process existed."""
     try:
-        process.send_signal(number)
-    except psutil.NoSuchProcess:  # has just ended
+        if kill.victim == "process group":
+            os.killpg(process.pid, kill.number)
+        else:
+            process.send_signal(kill.number)
+    except (psutil.NoSuchProcess, ProcessLookupError):  # has just ended
         return False
     return True
 
