@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import EnvSpec, Trajectory
-from headway_algos.config import LearnerConfig, SimultaneousConfig
+from headway_algos.config import LearnerConfig
 from headway_algos.grouping import Grouping
 
 MAX_AGENTS = 64
@@ -33,8 +33,7 @@ def agent_ids(config: LearnerConfig, spec: EnvSpec) -> NDArray[np.float32]:
 def _has_ids(config: LearnerConfig, spec: EnvSpec, width: int) -> bool:
     if config.agent_id is not None:
         return config.agent_id
-    splits = isinstance(config, SimultaneousConfig) and config.shared_until > 0
-    return 2 <= width <= MAX_AGENTS and not spec.agents_come_and_go and not splits
+    return 2 <= width <= MAX_AGENTS and not spec.agents_come_and_go and not config.splits
 
 
 def impossible_ids(config: LearnerConfig, spec: EnvSpec) -> str | None:

@@ -21,15 +21,15 @@ from headway_algos.on_policy.updates.natural_config import KFACConfig, TRPOConfi
 
 @dataclass(frozen=True)
 class Component:
-    """A critic, policy update, critic's optimiser or order, with the hyper-parameters that it uses."""
+    """A critic, a policy update, an optimiser of critics or an update order, with its hyper-parameters."""
 
     summary: str
     """One sentence for `headway list algos NAME`."""
     config: type[AlgoConfig]
     """Record of its keys: a frozen dataclass that inherits from `AlgoConfig` or from another component's."""
     make: Callable[..., Any]
-    """Constructor, given a record that includes `config`: see `MakeCritic` and `MakeUpdate`. A `Lazy` if its
-    module imports torch."""
+    """For orders the `Order` itself; else the constructor, `MakeCritic` or `MakeUpdate`, given a record that
+    includes `config`. A `Lazy` if its module imports torch."""
     rollout: Mapping[str, int] = field(default_factory=dict)
     """For updates: defaults of keys of `rollout`, such as `{"steps": 16}`."""
 
@@ -74,7 +74,7 @@ CRITICS = {
         Lazy("headway_algos.on_policy.critics.value:CentralCritic"),
     ),
     "counterfactual": Component(
-        "Q(s, u) for each own action, the other agents' actions held fixed (Discrete actions only).",
+        "Q(s, u) for each action of the agent, the other agents' actions held fixed (Discrete actions only).",
         CounterfactualConfig,
         Lazy("headway_algos.on_policy.critics.counterfactual:CounterfactualCritic"),
     ),

@@ -46,7 +46,7 @@ class ModelConfig:
         for key in ("gru_size", "sequence_length"):
             same = getattr(self, key) == getattr(type(self), key)
             require_key(
-                self.core == "gru" or same, key, "applies to recurrence: set core=gru too, or leave it out"
+                self.core == "gru" or same, key, "applies only with core=gru: set it too, or leave this out"
             )
 
 
@@ -64,7 +64,7 @@ class LearnerConfig:
     agent_id: bool | None = None
     """Append the agent's index, one-hot, to the observations of agents that share a policy, for all networks,
     so that agents with equal observations may act differently. null: yes, if at most 64 agents share it and
-    they do not come and go, since slots of those that do are no identities."""
+    they do not come and go; otherwise the index would identify a slot, not an agent."""
     gamma: float = 0.99
     """Discount factor per step."""
     lr: float = 5e-4
@@ -75,6 +75,11 @@ class LearnerConfig:
     """Normalise observations by running statistics per policy, stored with the parameters."""
     precision: Literal["float32", "float64"] = "float32"
     """Dtype of networks and their inputs; normalisers, advantages and returns are always float64."""
+
+    @property
+    def splits(self) -> bool:
+        """Whether policies begin as one shared policy that is split later."""
+        return False
 
     def __post_init__(self) -> None:
         require_finite(self)
@@ -133,19 +138,26 @@ class SimultaneousConfig(AlgoConfig):
     """Factor on the learning rates once the shared policy is split (`shared_until`), when each policy sees
     only its own agents' experience and gradients are noisier. KL bounds are multiplied by its square."""
 
+    @property
+    def splits(self) -> bool:
+        """Whether policies begin as one shared policy that is split later."""
+        return self.shared_until > 0
+
     def __post_init__(self) -> None:
         super().__post_init__()
         require_value(self, "shared_until", 0 <= self.shared_until < 1, "must lie in [0, 1)")
-        splits = self.shared_until > 0
         require_value(
-            self, "shared_until", not splits or self.policies != "shared", "must be 0 with policies: shared"
+            self,
+            "shared_until",
+            not self.splits or self.policies != "shared",
+            "must be 0 with policies: shared",
         )
         require_value(
-            self, "agent_id", not (splits and self.agent_id), "must be false or null with shared_until"
+            self, "agent_id", not (self.splits and self.agent_id), "must be false or null with shared_until"
         )
         require_value(self, "apart_lr", self.apart_lr > 0, "must be above 0")
         require_key(
-            splits or self.apart_lr == 1,
+            self.splits or self.apart_lr == 1,
             "apart_lr",
             "applies after shared_until: set shared_until, or leave apart_lr at 1",
         )

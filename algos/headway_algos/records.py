@@ -33,7 +33,7 @@ def config_class(recipe: Recipe, chosen: Mapping[str, Any]) -> type[AlgoConfig]:
 
 
 def rollout(recipe: Recipe, config: AlgoConfig) -> Mapping[str, int]:
-    """Return the defaults of keys of `rollout`: see `AlgoEntry.rollout`."""
+    """Return the algorithm's defaults for keys of `rollout`: see `AlgoEntry.rollout`."""
     return component("update", config.update).rollout if recipe.rollout is None else recipe.rollout
 
 

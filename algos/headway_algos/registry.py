@@ -39,7 +39,7 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
         return line
     groups = len(set(spec.groups))
     single_policy = config.policies == "shared" or (config.policies == "groups" and groups <= 1)
-    if isinstance(config, SimultaneousConfig) and config.shared_until > 0 and single_policy:
+    if config.splits and single_policy:
         return (
             f"algo.shared_until splits one policy into several, and algo.policies={config.policies} gives "
             f"only one on {spec.name}; use algo.policies=independent"

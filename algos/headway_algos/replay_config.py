@@ -103,7 +103,7 @@ class ReplayConfig(LearnerConfig):
         require_value(self, "exploration_decay_steps", decay is None or decay > 0, "must be above 0, or null")
         require(
             decay is None or self.exploration_share == type(self).exploration_share,
-            "exploration_share or exploration_decay_steps, not both: exploration falls by one or the other",
+            "set exploration_share or exploration_decay_steps, not both: each determines the decay",
         )
 
     def exploration(self, progress: float, env_steps: int) -> float:
@@ -154,7 +154,8 @@ class DDPGConfig(ReplayConfig):
     saturation_coeff: float = 0.0
     """Weight of a penalty in the actor's objective: the squared inputs of its tanh, summed over the
     components of an action. Without it actions can stick to the bounds, where the gradient vanishes
-    (Andrychowicz et al. 2017, arXiv:1707.01495, appendix A). In units of reward, normalised if they are."""
+    (Andrychowicz et al. 2017, arXiv:1707.01495, appendix A). The weight is in units of the
+    rewards, after normalisation if `normalise_rewards` is set."""
     ou_theta: float = 0.15
     """Share by which the noise decays per step."""
     ou_sigma: float = 0.2

@@ -74,7 +74,8 @@ class ArrayEnv(ABC, Generic[WorldT, OutputsT]):
             mine = _plain(array)
             if name not in saved or mine.shape != saved[name].shape or mine.dtype != saved[name].dtype:
                 raise HeadwayError(
-                    f"the snapshot is of another {self._KIND} or number of copies: restore it with its own"
+                    f"the snapshot is of another {self._KIND} or number of copies: restore it in a "
+                    "matching environment"
                 )
             mine[...] = saved[name]
         return self.observed()

@@ -1,4 +1,4 @@
-"""From the configuration keys `env.*` to an environment entry with its wrappers."""
+"""Choice of an environment entry and its wrappers by the configuration keys `env.*`."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

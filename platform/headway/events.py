@@ -1,6 +1,7 @@
 """Events that a training process sends to its session over a pipe. Every record is picklable.
 
-A training process trains one stack of seeds. Events say how far it is; its rows are in its run folders only.
+A training process trains one stack of seeds. Events report its progress; tables are written to the run
+folders and not sent.
 """
 
 from collections.abc import Mapping
@@ -84,7 +85,7 @@ class CheckpointSaved:
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """One line for the user, about a replaced worker or a skipped checkpoint for instance."""
+    """One line for the user, for example about a replaced worker or a skipped checkpoint."""
 
     line: str
 
@@ -96,7 +97,7 @@ class Finished:
     iteration: int
     """Last finished iteration."""
     stopped: bool
-    """The job was asked to stop before its budget was used."""
+    """The job was stopped on request before its budget was used."""
     usage: Usage | None = None
     """Usage of the training process and its workers; None if the process was killed before it could
     report."""

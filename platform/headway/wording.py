@@ -1,4 +1,4 @@
-"""Words for what is printed, wherever it is printed."""
+"""Wording shared by all printed output."""
 
 
 def counted(count: int, what: str) -> str:

@@ -51,11 +51,16 @@ class Stack:
                 )
 
 
-def remedy(config: LearnerConfig) -> str:
-    """Return what to change when training diverges, in keys that the algorithm has."""
-    keys = {key.name for key in fields(config)}
-    lower = " or ".join(f"algo.{key}" for key in ("lr", "kl_bound") if key in keys)
-    return f"lower {lower}" + (", or bound the gradients by algo.grad_clip" if "grad_clip" in keys else "")
+def remedy(config: LearnerConfig, of_critic: bool = False) -> str:
+    """Return what to change when the policies or the critic diverge, in keys that the algorithm has."""
+    values = {key.name: getattr(config, key.name) for key in fields(config)}
+    names = ["lr", "kl_bound"]
+    if of_critic:
+        names = ["lr" if values.get("critic_lr") is None else "critic_lr", "critic_kl_bound"]
+    clipped = values.get("grad_clip") is not None
+    lower = " or ".join(f"algo.{name}" for name in [*names, *["grad_clip"] * clipped] if name in values)
+    unbounded = "grad_clip" in values and not clipped
+    return f"lower {lower}" + (", or bound the gradients by algo.grad_clip" if unbounded else "")
 
 
 def mean_per_replica(values: Tensor, replicas: int) -> NDArray[np.float64]:

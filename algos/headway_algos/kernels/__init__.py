@@ -23,9 +23,18 @@ from headway_algos.kernels.minibatch_steps import (
     descend_returns,
 )
 from headway_algos.kernels.moments import write_moments
-from headway_algos.kernels.perceptron import ROWS, TANH, Perceptrons, activate_stack, evaluate, perceptrons
+from headway_algos.kernels.perceptron import (
+    ACTIVATIONS,
+    ROWS,
+    TANH,
+    Perceptrons,
+    activate_stack,
+    evaluate,
+    perceptrons,
+)
 
 __all__ = [
+    "ACTIVATIONS",
     "ROWS",
     "TANH",
     "Adam",
@@ -61,7 +70,7 @@ def warm() -> None:
         step_networks(of, of, adam, active, norms)
     table, row = np.zeros((1, 1), np.float32), np.zeros(1, np.float32)
     steps = (
-        perceptrons(table, table, np.array([[1, 1, 0, 0]]), relu=False),
+        perceptrons(table, table, np.array([[1, 1, 0, 0]]), TANH),
         Adam(table, table, counts, 0.0, math.inf, (0.0, 0.0), 1.0),
         RowIndices(np.zeros((0, 1, 0), np.int64), np.zeros((0, 1), np.int64)),
     )

@@ -68,7 +68,7 @@ def _layer(weight: Floats, bias: Floats, x: Floats, n: int, activation: int, y: 
 
 @compiled
 def _layer_in_float64(weight: Floats, bias: Floats, x: Floats, n: int, activation: int, y: Floats) -> None:
-    """Do what `_layer` does in float32."""
+    """Like `_layer`, in float64."""
     outs, ins = weight.shape
     for t in range(n):
         for o in range(outs):
@@ -181,7 +181,7 @@ def choose_categorical(
                     total += weights[a]
             chosen = best
             if not greedy:
-                # Rounding may leave the sum of all probabilities below the draw: the last allowed one then.
+                # Rounding may leave the sum of all weights below the draw: the last allowed option is chosen.
                 below, bound = 0.0, uniforms[b, k] * total
                 for a in range(first, last):
                     if not masked or masks[b, a]:

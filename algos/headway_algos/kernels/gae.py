@@ -1,7 +1,5 @@
 """Generalised advantage estimation."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,8 +28,7 @@ def _write_advantages(
             if terminated[t, i] or truncated[t, i]:
                 next_value = 0.0 if terminated[t, i] else final_values[t, i]
                 next_advantage = 0.0
-            reward = rewards[t, i] if math.isfinite(rewards[t, i]) else 0.0
-            target = reward + gamma * next_value
+            target = rewards[t, i] + gamma * next_value
             if present[t, i]:
                 advantages[t, i] = target - values[t, i] + gamma * gae_lambda * next_advantage
                 next_value, next_advantage = values[t, i], advantages[t, i]

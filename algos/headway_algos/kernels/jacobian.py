@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_algos.kernels.compiled import ONE, ZERO, Floats, compiled
-from headway_algos.kernels.perceptron import ROWS, Perceptrons, backward, forward, numbers, padded
+from headway_algos.kernels.perceptron import RELU, ROWS, Perceptrons, backward, forward, numbers, padded
 from headway_algos.kernels.products import multiply
 
 
@@ -56,7 +56,7 @@ def multiply_jacobian(
                     if layer == len(layers) - 1:
                         for t in range(rows):
                             products[p, o, start + t] = changed[t] + bias
-                    elif net.relu:
+                    elif net.activation == RELU:
                         for t in range(n):
                             changed[t] = changed[t] + bias if activated[t] > ZERO else ZERO
                     else:

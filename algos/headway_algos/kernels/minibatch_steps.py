@@ -1,6 +1,6 @@
 """Minibatch steps of Adam down the losses of policies and critics, for stacks of perceptrons.
 
-The equations stand at the torch equivalents, against which the kernels are tested: `PPOLoss` and `A2CLoss` in
+For the equations see the torch equivalents, against which the kernels are tested: `PPOLoss` and `A2CLoss` in
 `on_policy.updates.losses`, `squared_error` in `on_policy.critics.return_regression`. The networks of a stack
 are trained one after another, each on its own rows, so that a network's result does not depend on its stack
 and its parameters, moments and data stay in the cache for several minibatches.
@@ -79,7 +79,7 @@ class PolicyData(NamedTuple):
     clipped: bool
     """PPO's clipped surrogate; False: A2C's loss."""
     clip: float
-    """PPO's."""
+    """Clip range of PPO's ratio; unused by A2C."""
     entropy_coeff: float
 
 

@@ -18,7 +18,7 @@ SCRATCH = 5
 
 
 LINEAR, TANH, RELU = 0, 1, 2
-ACTIVATIONS = {"linear": LINEAR, "tanh": TANH, "relu": RELU}
+ACTIVATIONS = {"tanh": TANH, "relu": RELU}
 
 
 class Perceptrons(NamedTuple):
@@ -30,8 +30,8 @@ class Perceptrons(NamedTuple):
     """(P, V): their gradients."""
     layers: NDArray[np.int64]
     """(L, 4): per layer, number of inputs, number of outputs, offsets of weights and of biases."""
-    relu: bool
-    """Hidden layers are rectified, instead of passed through tanh."""
+    activation: int
+    """Activation of the hidden layers: one of `ACTIVATIONS`."""
     activations: Floats
     """(F, ROWS): the inputs of each layer, then the outputs."""
     errors: Floats
@@ -49,15 +49,14 @@ class Perceptrons(NamedTuple):
         return int(self.layers[-1, 1])
 
 
-def perceptrons(values: Floats, gradient: Floats, layers: NDArray[np.int64], relu: bool) -> Perceptrons:
+def perceptrons(values: Floats, gradient: Floats, layers: NDArray[np.int64], activation: int) -> Perceptrons:
     """Return perceptrons with the memory that they need."""
     activations = np.empty((layers[0, 0] + layers[:, 1].sum(), ROWS), np.float32)
     errors = np.empty((2, layers[:, 1].max(), ROWS), np.float32)
     exponents = np.empty(ROWS, np.int32)
     scratch = np.empty((SCRATCH, ROWS), np.float32)
-    return Perceptrons(
-        values, gradient, layers, relu, activations, errors, scratch, exponents, exponents.view(np.float32)
-    )
+    powers = exponents.view(np.float32)
+    return Perceptrons(values, gradient, layers, activation, activations, errors, scratch, exponents, powers)
 
 
 # tanh(x) / x = P(x^2) / Q(x^2), a minimax fit of relative error 2.5e-7 up to where tanh is 1 in float32 (with
@@ -84,7 +83,7 @@ def tanh(row: Floats, bias: np.float32, n: int) -> None:
 
 @compiled
 def activate(y: Floats, biases: Floats, activation: int, n: int) -> None:
-    """Replace the first n columns of y (O, .) by f(y + b), with `biases` (O,) and f by `activation`."""
+    """Replace the first n columns of y (O, .) by f(y + biases); `biases` are (O,), `activation` selects f."""
     for o in range(len(y)):
         y0, bias = y[o], biases[o]
         if activation == TANH:
@@ -126,15 +125,14 @@ def forward(net: Perceptrons, p: int, rows: Floats, index: NDArray[np.int64]) ->
         top += ins
         y = net.activations[top : top + outs]
         multiply(values, weights, ins, 1, outs, ins, x, y, n)
-        hidden = RELU if net.relu else TANH
-        activate(y, values[biases:], hidden if layer < len(net.layers) - 1 else LINEAR, n)
+        activate(y, values[biases:], net.activation if layer < len(net.layers) - 1 else LINEAR, n)
 
 
 @compiled
 def backward(net: Perceptrons, p: int, n: int) -> None:
-    """Add a loss's gradient on the n rows that passed through network p last.
+    """Add a loss's gradient to `net.gradient`, for the n rows of the last `forward` pass, through network p.
 
-    `net.errors[L % 2]` holds d loss / d outputs, of L layers.
+    On entry `net.errors[L % 2]` holds d loss / d outputs, for L layers.
     """
     values, gradient, layers = net.values[p], net.gradient[p], net.layers
     for a in range(layers[-1, 1]):
@@ -157,7 +155,7 @@ def backward(net: Perceptrons, p: int, n: int) -> None:
         multiply(values, weights, 1, ins, ins, outs, error, before, n)
         for i in range(ins):
             g0, x0 = before[i], x[i]
-            if net.relu:
+            if net.activation == RELU:
                 for t in range(n):
                     g0[t] = g0[t] if x0[t] > ZERO else ZERO
             else:
@@ -196,7 +194,11 @@ def evaluate(layers: Sequence[tuple[Floats, Floats]], rows: Floats, activation: 
     `layers` are weights (P, out, in) and biases (P, out, 1). A row's result does not depend on the others.
     """
     stack, batch, size = rows.shape
-    flat = [(weight.reshape(stack, -1), bias.reshape(stack, -1)) for weight, bias in layers]
+    # Contiguous, because numba would compile `layer` a second time for views of all parameters.
+    flat = [
+        (np.ascontiguousarray(weight.reshape(stack, -1)), np.ascontiguousarray(bias.reshape(stack, -1)))
+        for weight, bias in layers
+    ]
     outputs = np.empty((stack, layers[-1][0].shape[1], batch), np.float32)
     for start in range(0, batch, ROWS):
         part = rows[:, start : start + ROWS]

@@ -1,6 +1,7 @@
 """Action distributions of stacked policies, with the action axis second: (P, A, B).
 
-Tests hold them equal to torch.distributions. Unlike those, they check no arguments and keep rows contiguous.
+Tests check them against torch.distributions. Unlike those, they do not validate arguments, and they keep rows
+contiguous.
 """
 
 from collections.abc import Iterable, Sequence

@@ -5,7 +5,7 @@ With J = d network(x) / d theta, `jvp` returns J v by forward differentiation, l
 stored activations and do not evaluate the network again.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -13,6 +13,12 @@ import torch
 from torch import Tensor
 
 from headway_algos.networks.mlp import StackedMLP
+
+_BACKWARD: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+    "tanh": torch.ops.aten.tanh_backward,
+    "relu": lambda signal, activated: torch.ops.aten.threshold_backward(signal, activated, 0),
+}
+"""(signal, activated values) -> signal times the derivative of the activation."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +46,7 @@ class LinearisedMLP:
 
     def _through(self, layer: int, signal: Tensor) -> Tensor:
         """Multiply a signal by the derivative of the activation that precedes `layer`."""
-        activated = self.inputs[layer]
-        aten = torch.ops.aten
-        if self.activation == "tanh":
-            changed: Tensor = aten.tanh_backward(signal, activated)
-        else:
-            changed = aten.threshold_backward(signal, activated, 0)
-        return changed
+        return _BACKWARD[self.activation](signal, self.inputs[layer])
 
     def jvp(self, direction: Sequence[Tensor]) -> Tensor:
         """Return J v, (P, A, B): the derivative of the outputs along a direction in parameter space."""

@@ -69,11 +69,16 @@ def tanh_layer(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     return result
 
 
+def _relu_layer(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    return torch.baddbmm(bias, weight, x).relu()
+
+
+_LAYERS = {"tanh": tanh_layer, "relu": _relu_layer}
+
+
 def activated_layer(x: Tensor, weight: Tensor, bias: Tensor, activation: str) -> Tensor:
     """Return activation(W x + b), with the shapes of `tanh_layer`."""
-    if activation == "tanh":
-        return tanh_layer(x, weight, bias)
-    return torch.baddbmm(bias, weight, x).relu()
+    return _LAYERS[activation](x, weight, bias)
 
 
 def stacked_matrices(

@@ -18,8 +18,8 @@ class RunningStatistics(nn.Module):
     Combined by the parallel formula of Chan, Golub and LeVeque (1979). The mean starts at 0; the variance is
     1 until two rows have been included. Stored as buffers, so that checkpoints contain them.
 
-    When a batch is included, all earlier ones together weigh at most as much as `memory` rows, as `batches`
-    like the new one or as the `share` of all rows so far, whichever is most: old batches are forgotten.
+    When a batch is included, the total weight of all earlier ones is limited to the largest of `memory` rows,
+    `batches` times the new batch's rows, and `share` times all rows so far: old batches are forgotten.
     """
 
     count: Tensor
@@ -68,7 +68,7 @@ class RunningStatistics(nn.Module):
         self.count, self.rows = total, self.rows + count
 
     def _load_from_state_dict(self, state: dict[str, Any], prefix: str, *more: object) -> None:
-        """Take the weight for the number of rows where an earlier version stored no number."""
+        """Use `count` for `rows` in states stored without `rows`."""
         if self.share > 0:
             state.setdefault(f"{prefix}rows", state[f"{prefix}count"])
         super()._load_from_state_dict(state, prefix, *more)

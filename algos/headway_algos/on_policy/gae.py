@@ -29,8 +29,7 @@ def generalised_advantages(
     While an agent is absent (`present` (T + 1, C, N) false) but its stream continues, its discounted rewards
     are credited to its last action before (a semi-Markov step: Sutton, Precup and Singh 1999, "Between MDPs
     and semi-MDPs"). Advantages of absent steps are 0 and values there are ignored; the value of an agent
-    absent after the last step is 0. A reward that is NaN or infinite counts as 0. The recursion is
-    `kernels.gae.write_advantages`.
+    absent after the last step is 0. The recursion is `kernels.gae.write_advantages`.
     """
     from headway_algos.kernels import write_advantages
 

@@ -84,9 +84,10 @@ class OnPolicyLearner:
     def _drop_unused_slots(self, trajectory: Trajectory) -> Trajectory:
         """Trim trailing slots that were never alive.
 
-        Valid only if agents are exchangeable: shared policy, local critic, no recurrence.
+        Valid only if agents are exchangeable: one shared policy, no recurrence, and a critic that evaluates
+        each agent by itself.
         """
-        exchangeable = self.grouping.num_policies == 1 and self.config.critic == "local"
+        exchangeable = self.grouping.num_policies == 1 and self.critic.exchangeable_agents
         if not exchangeable or self.config.model.core != "none":
             return trajectory
         used = np.flatnonzero(trajectory.alive.any(axis=(0, 1)))
@@ -164,7 +165,7 @@ class OnPolicyLearner:
             seed = self.seeds[broken[:, 1].min() * len(self.seeds) // advantages.shape[1]]
             raise HeadwayError(
                 f"{self.config.name} diverged: the critic of seed {seed} gives values that are not finite at "
-                f"{self.unit} {iteration}; {remedy(self.config)}"
+                f"{self.unit} {iteration}; {remedy(self.config, of_critic=True)}"
             )
 
     def _generators(self, purpose: str, iteration: int) -> list[np.random.Generator]:

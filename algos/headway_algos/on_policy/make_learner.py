@@ -19,6 +19,6 @@ def make_learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device
 
 
 def _one(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
-    if isinstance(config, SimultaneousConfig) and config.shared_until > 0:
+    if config.splits and isinstance(config, SimultaneousConfig):
         return SplitLearner(config, spec, seeds, device)
     return OnPolicyLearner(config, spec, seeds, device)

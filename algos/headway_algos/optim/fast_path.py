@@ -1,6 +1,6 @@
 """Minibatch training with compiled kernels: multilayer perceptrons in float32 on a CPU.
 
-`on_policy.updates.compiled_steps` trains policies with it, `on_policy.critics.compiled_steps` critics.
+`on_policy.updates.policy_kernels` trains policies with it, `on_policy.critics.critic_kernels` critics.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from headway_algos.kernels import Perceptrons
 
 ENABLED = True
-"""False: gradients of minibatches and Fisher products by torch, so that tests and benchmarks can compare;
-Adam's steps and tanh remain compiled."""
+"""False: torch computes the gradients of minibatches and the Fisher products, for comparison. Forward passes
+without gradients, tanh, Adam's steps, GAE and statistics stay compiled."""
 
 
 def kernel_networks(network: Network, optimiser: StackedAdam) -> "Perceptrons | None":
@@ -38,15 +38,15 @@ def kernel_networks_at(
 ) -> "Perceptrons | None":
     """Return the arrays of a stack of networks for kernels, or None if torch is to be used.
 
-    `values` and `gradient` (P, V) hold the parameters from the offsets on that `starts` returns.
+    Each parameter begins in `values` and `gradient` (P, V) at the offset that `starts` returns for it.
     """
     supported = not values.is_cuda and values.dtype == torch.float32
     if not (ENABLED and supported) or not isinstance(network, StackedMLP):
         return None
-    from headway_algos.kernels import perceptrons
+    from headway_algos.kernels import ACTIVATIONS, perceptrons
 
     layers = np.array([(w.shape[2], w.shape[1], *starts((w, b))) for w, b in network.by_layer()])
-    return perceptrons(values.numpy(), gradient.numpy(), layers, network.activation == "relu")
+    return perceptrons(values.numpy(), gradient.numpy(), layers, ACTIVATIONS[network.activation])
 
 
 def compiled_steps(
@@ -75,7 +75,7 @@ def compiled_steps(
 
 
 def as_array(rows: Tensor | None, like: NDArray[Any]) -> NDArray[Any]:
-    """Return rows (P, B, ...) as an array (P B, ...) with the dtype of the empty array `like`, or `like`."""
+    """Return rows (P, B, ...) as an array (P B, ...) of the dtype of `like` (empty); None: return `like`."""
     if rows is None:
         return like
     array: NDArray[Any] = np.ascontiguousarray(rows.detach().numpy(), dtype=like.dtype)

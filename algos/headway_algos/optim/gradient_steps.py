@@ -12,8 +12,8 @@ from headway_algos.batches.minibatches import Piece
 from headway_algos.batches.schedule import MinibatchSchedule
 
 Steps = Callable[[MinibatchSchedule], tuple[Tensor, Tensor]]
-"""Takes one step per minibatch; returns means over each network's steps, NaN for a network that took none: of
-the I metrics, (I, P), and of the gradient norm, (P,)."""
+"""Takes one step per minibatch; returns the I metrics (I, P) and the gradient norm (P,) as means over each
+network's steps, NaN for a network that took none."""
 AddGradients = Callable[[Piece], Tensor]
 """Adds the gradients of a piece of a minibatch; returns its shares of the I metrics, (I, P)."""
 

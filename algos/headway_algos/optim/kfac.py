@@ -35,7 +35,7 @@ class Step:
 
 
 class StackedKFAC:
-    """Optimiser with steps eta d, where d = F^-1 g with F in Kronecker factors and (section 3 of the paper)
+    """Optimiser by natural-gradient steps eta d, with d = F^-1 g, F in Kronecker factors (section 3), and
 
         eta = min(lr, sqrt(2 delta / d^T F d)),
 
@@ -173,7 +173,7 @@ class StackedKFAC:
 def _perceptrons(network: nn.Module) -> StackedMLP:
     if not isinstance(network, StackedMLP):
         raise HeadwayError(
-            "K-FAC takes multilayer perceptrons, and this model has other networks; use another algorithm, "
-            "or algo=custom with another algo.update than kfac and with algo.critic_update=adam"
+            "K-FAC needs multilayer perceptrons: use algo.model.core=none, another algorithm, or algo=custom "
+            "with another algo.update than kfac and with algo.critic_update=adam"
         )
     return network

@@ -42,9 +42,11 @@ class Recipe:
     rollout: Mapping[str, int] | None = None
     """Defaults of keys of `rollout`; None: those of the update."""
     learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner] = LEARNER
-    """This and the next two: see `headway.contracts.AlgoEntry`."""
+    """Constructor of the learner: see `headway.contracts.AlgoEntry.learner`."""
     contributor: Callable[[Any, EnvSpec, Sequence[int]], Contributor] | None = None
+    """Constructor of a worker's part, for asynchronous algorithms: see `AlgoEntry.contributor`."""
     preload: tuple[str, ...] = ()
+    """Modules imported once for all processes that run contributors."""
 
     # Mappings have no hash, and configuration classes are cached per recipe.
     def __hash__(self) -> int:

@@ -7,8 +7,9 @@ from the policy's expectation:
     A^a(s, u) = Q(s, u) - sum_u' pi_a(u'|o^a) Q(s, (u^-a, u'))
 
 (Foerster et al. 2018, arXiv:1705.08926, equation 4). The baseline does not depend on u^a, so the policy
-gradient is unbiased. One network with inputs (s, u^-a, o^a, id_a) has one output per own action; it is
-trained on TD(lambda) targets that bootstrap from a target network, copied every `target_every` iterations.
+gradient is unbiased. One network with inputs (s, u^-a, o^a, id_a) has one output for each action of agent a;
+it is trained on TD(lambda) targets that bootstrap from a target network, copied every `target_every`
+iterations.
 Differences from the paper: u_t-1 is not among the inputs, and recurrence, which the paper has in the actor
 only, is an option for actor and critic together (`model.core`).
 

@@ -238,7 +238,7 @@ class BusConfig:
 
     @property
     def arrivals_per_boarding(self) -> float:
-        """Number of arriving passengers with a competing service per boarding one, at the target headway.
+        """Number of arriving non-captive passengers for each one who boards, at the target headway.
 
         Arrivals are uniform over a headway H, and each passenger leaves after an exponential wait of mean x
         H, where x is `competing_headway_share`: the share x (1 - exp(-1 / x)) still waits when the bus comes.

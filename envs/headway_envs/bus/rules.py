@@ -103,7 +103,7 @@ def fleet_state(env: BatchedEnv) -> FleetState:
 def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
     """Return which buses should go to service at their current terminal, (C, N).
 
-    Known are the driving time until the bus's next stay at the depot, and the terminals of its line nearest
+    Inputs are the driving time until the bus's next stay at the depot and the terminals of its line nearest
     to a service centre. A bus at such a terminal is sent if its fuel, with a margin, lasts neither to the
     depot nor for a round trip (twice its line's longest trip), or if its uptime would fall below the warning
     level within a round trip and early enough before the depot (`MIN_WORN_SHARE`). At any other terminal a

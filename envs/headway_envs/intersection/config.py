@@ -76,8 +76,8 @@ class IntersectionConfig:
     automated vehicles (AVs) among human-driven vehicles (HDVs)."""
 
     junction: Literal["priority", "right_before_left", "allway_stop"] = "priority"
-    """Right of way: of the north-south road, of vehicles from the right, or of the vehicle that stopped
-    first."""
+    """Who has the right of way: the north-south road (`priority`), vehicles from the right
+    (`right_before_left`), or the vehicle that stopped first (`allway_stop`)."""
     vph_per_lane_hdv: float = 200.0
     """Human-driven vehicles per hour on each of the eight entry lanes (Poisson)."""
     vph_per_lane_av: float = 200.0
@@ -92,8 +92,8 @@ class IntersectionConfig:
     """Maximum number of controlled AVs at once. SUMO drives any others; the metric `avs_without_slot` counts
     them."""
     observation: Literal["paper", "extended"] = "extended"
-    """`paper`: own position and speed, leader and follower. `extended`: also the own turn, distances on a
-    scale suited to braking, and the next vehicles on conflicting paths."""
+    """`paper`: own position and speed, leader and follower. `extended`: also the vehicle's turn, distances on
+    a scale suited to braking, and the next vehicles on conflicting paths."""
     av_speed_mode: int = 7
     """SUMO's checks of commanded speeds, as bits: 1 safe gap, 2 maximum acceleration, 4 maximum braking, 8
     right of way. 1: the paper's value, which allows braking beyond the vehicles' maximum. 11: a safeguard;
@@ -102,8 +102,8 @@ class IntersectionConfig:
     """SUMO's checks of human drivers' speeds, as bits; 31: all checks. With 1, the paper's value, they crash
     into each other."""
     av_lane_change_mode: int = 512
-    """SUMO's lane-change mode of AVs; 512: no changes of SUMO's own. None are needed, because AVs enter on a
-    lane that leads to their exit."""
+    """SUMO's lane-change mode of AVs; 512: SUMO itself changes no lanes. No changes are needed, because AVs
+    enter on a lane that leads to their exit."""
     impatience: float = 0.0
     """SUMO's impatience of all drivers. 0: they wait for a gap. Above 0 they make vehicles with the right of
     way brake, and humans may crash; Flow's vehicles, and thus the paper's, have 0.5."""
@@ -113,9 +113,9 @@ class IntersectionConfig:
     on_collision: Literal["remove_pair", "end_episode"] = "remove_pair"
     """`remove_pair`: crashed vehicles are removed and the episode continues. `end_episode`: it ends."""
     at_exit: Literal["truncated", "terminated"] = "truncated"
-    """End of the stream of an AV that leaves. `truncated`: its return is continued by an estimate (of the
-    team's further reward, or with own rewards of its reward on a longer road), so leaving costs nothing.
-    `terminated`: its return is complete, which punishes leaving if rewards are above 0."""
+    """How the stream of an AV ends when it leaves. `truncated`: a value estimate continues its return (the
+    team's further reward or, with scope `own`, its own reward on a longer road), so that leaving costs
+    nothing. `terminated`: its return is complete, which punishes leaving if rewards are above 0."""
     warm_up_s: float = 30.0
     """Warm-up, s, left out of the rates `..._warm_vph`, because no vehicle can cross in the first 12 s. If an
     episode ends earlier, they cover all of it."""

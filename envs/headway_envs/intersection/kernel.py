@@ -153,8 +153,8 @@ def _observe_conflicts(
     crossing: Record, traffic: Traffic, row: int, scratch: Record, out: NDArray[np.float32]
 ) -> None:
     """Fill the features of up to four vehicles in conflict, inside the junction or first on their lane, in
-    order of arrival: 1, distance to the stop line (negative beyond it), speed, arrival relative to the own
-    one, whether automated, whether the own vehicle must yield."""
+    order of arrival: 1, distance to the stop line (negative beyond it), speed, time of arrival minus that of
+    the observing vehicle, whether automated, whether the observing vehicle must yield."""
     link = traffic.link[row]
     arrival, rows = scratch.arrival, scratch.ranked
     arrival[:] = np.inf

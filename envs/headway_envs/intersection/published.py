@@ -27,7 +27,7 @@ INTERSECTION_PAPER = PublishedResults(
                 "inflow_vph": 5781,
                 "outflow_vph": 735,
                 "efficiency": 0.327,
-                "collisions": 0.38,  # the paper also prints 0.25, and compares A3C by 0.38
+                "collisions": 0.38,  # the paper also prints 0.25, but uses 0.38 in its comparison
                 "speed": 10.97,
                 "fuel_gal_s": 0.00021,
                 "vehicles": 22.32,

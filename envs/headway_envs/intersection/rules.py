@@ -66,7 +66,7 @@ class Reservation:
     """First come, first served (after Dresner and Stone 2008, arXiv:1401.3466).
 
     A vehicle that comes within `ZONE_M` of the stop line joins a queue, and may enter the junction once all
-    vehicles on conflicting paths ahead of it in the queue have passed. Human drivers do not know the queue:
+    vehicles on conflicting paths ahead of it in the queue have passed. Human drivers do not obey the queue:
     they block others while they move, but not while they stand, because then they are waiting themselves."""
 
     ZONE_M = 100.0
@@ -129,8 +129,8 @@ class VirtualSignal:
     traffic by a few holding vehicles (Wang et al. 2023, arXiv:2301.05294). North and south have green for
     `GREEN_S`, then east and west. At red an AV holds far before the stop line, because SUMO's drivers wait
     for a vehicle that stands closer, as if it were about to enter; an AV that is too close to hold drives on.
-    SUMO's checks (`av_speed_mode`) order the vehicles with green. With a `share` below 1 the other AVs drive
-    as without a signal, which measures its benefit at partial compliance."""
+    SUMO's checks (`av_speed_mode`) enforce the right of way among vehicles with green. With a `share` below 1
+    the other AVs drive as without a signal, which measures its benefit at partial compliance."""
 
     prepared: "Prepared"
     share: float = 1.0

@@ -67,7 +67,8 @@ class Dynamics:
     apart. False: they crash when one of nine points of one, shrunk to 0.9, lies in the other, and both
     continue at the lower speed."""
     ends_within_step: bool
-    """True: an episode ends at the sub-step in which a CAV crashes, and its last step has only one."""
+    """True: an episode ends at the sub-step in which a CAV crashes, and the step that reaches the time limit
+    has a single sub-step. False: every step has all sub-steps."""
     time_is_terminal: bool
     """True: the time limit terminates the episode. False: it truncates it."""
     masks: bool

@@ -26,10 +26,7 @@ def write_figure(figure: "Figure", output: Path) -> None:
 
 
 def write_error(option: str, path: Path, error: Exception) -> HeadwayError:
-    """Return the error line for a file or folder, given by `option`, that cannot be written.
-
-    `error` is what writing it raised.
-    """
+    """Return the error for the file or folder of `option`, which could not be written because of `error`."""
     reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
     if isinstance(error, FileNotFoundError) and not path.parent.exists():
         reason = f"there is no folder {path.parent}; create it first"

@@ -258,8 +258,8 @@ class StudyData:
     def against_best_rule(self, task: str, controller: str) -> DifferenceFromBest:
         """Return the paired difference of the metric, learner minus the task's best rule.
 
-        Over the common episodes of the last evaluation, with the 95% interval; None, with the reason, if it
-        is unknown.
+        It is taken over the common episodes of the last evaluation and has a 95% interval; None, with the
+        reason, if it is unknown.
         """
         if task not in self.best_rules:
             return DifferenceFromBest(None, "no rule was run")

@@ -25,7 +25,8 @@ from headway_launch.runner.results import SeedResult, stored_result
 
 Rules = Mapping[str, list[Row]]
 _EVALUATION_SEED = "evaluation_seed"
-"""Column of the evaluation seed in the rules' rows, whose `episode_seed` counts from 0 with every seed."""
+"""Column of the evaluation seed in the rows of rules. Their `episode_seed` alone identifies no episode,
+because it counts from 0 for every evaluation seed."""
 
 
 class SessionCell:

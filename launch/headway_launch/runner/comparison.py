@@ -25,7 +25,7 @@ _COLUMNS = ("controller", "episodes", "return", "learner minus rule", "95% low",
 
 
 def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "--rules") -> tuple[str, ...]:
-    """Return the names of the rules to play: those in `names` (`a,b`), each once, or by default all playable.
+    """Return the rules to play: the distinct ones in `names` (`a,b`) or, by default, all that can be played.
 
     Prints which rules are left out because wrappers hide their inputs. Raises HeadwayError, naming `option`,
     for an unknown rule or a listed rule that cannot play.

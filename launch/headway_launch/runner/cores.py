@@ -31,8 +31,8 @@ def share_cores(
 
     At most one training process runs per core and per job. The workers share the cores, or the cluster's CPUs
     if they run on a cluster. Jobs with a fixed number of workers run in parallel as far as the cores suffice:
-    on a cluster every worker counts, otherwise a job counts as `cores_taken` says. `node_cpus`: upper limit
-    per job if `cores` are spread over several machines.
+    on a cluster each worker needs a CPU, otherwise a job needs `cores_taken`. `node_cpus`: upper limit per
+    job if `cores` are spread over several machines.
     """
     fixed = [(job, _fixed_workers(job) or 1) for job in jobs]
     if cluster_cpus is None:

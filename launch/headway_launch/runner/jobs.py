@@ -49,7 +49,7 @@ class PlannedJob:
         spec: EnvSpec,
         seeds: tuple[int, ...],
     ) -> Self:
-        """Return a new job that trains `seeds` as `config` says; `spec` has actions in policies' units."""
+        """Return a new job that trains `seeds` with `config`; `spec` has actions in the units of policies."""
         entry, algo = experiment.env, experiment.algo
         plan = RolloutPlan.of(
             config.rollout,

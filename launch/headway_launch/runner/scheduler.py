@@ -100,16 +100,16 @@ class Training(Protocol):
         ...
 
     def join(self) -> str:
-        """Wait for the end; return how the process ended, for one that sent no final event."""
+        """Wait for the process to end; return how it ended, as a message in case it sent no final event."""
         ...
 
 
 class Scheduler:
     """Runs the jobs of a session, `parallel` at a time. A failed job does not stop the others.
 
-    It alone sets what a job is doing (`SessionJob.progress.status`). `start(job)` starts a training process,
-    `ended(job)` is called when a job has ended or its process was lost, and `tick` a few times per second; it
-    returns lines for the user.
+    Only the scheduler sets a job's `SessionJob.progress.status`. `start(job)` starts a training process;
+    `ended(job)` is called when a job has ended or its process was lost; `tick()` is called a few times per
+    second and returns lines for the user.
     """
 
     def __init__(

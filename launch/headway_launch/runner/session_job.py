@@ -20,7 +20,7 @@ _MAX_RESTARTS = 3
 
 @dataclass
 class SessionJob:
-    """One stack of seeds in a session. `progress.status`, set by the scheduler, says what it is doing."""
+    """One stack of seeds in a session. The scheduler sets `progress.status`, the current state of the job."""
 
     cell: SessionCell
     planned: PlannedJob

@@ -94,7 +94,7 @@ class TrainingProcess:
             self._process.kill()
 
     def join(self) -> str:
-        """Wait for the end; return how the process ended, for one that sent no final event."""
+        """Wait for the process to end; return how it ended, as a message in case it sent no final event."""
         self._process.join(_LAST_EVENT_S)
         if self._process.is_alive():
             self.kill()

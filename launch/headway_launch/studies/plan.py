@@ -170,7 +170,7 @@ def distinct(experiments: Sequence[Experiment]) -> list[Experiment]:
 
 
 def keep_plan(root: Path, study: str, experiments: Sequence[Experiment]) -> None:
-    """Store the plan of a sweep durably, so that `headway resume --study` knows which runs have not started.
+    """Store the plan of a sweep durably, so that `headway resume --study` can find the runs not started.
 
     The same plan overwrites its file. Raises HeadwayError if it cannot be written.
     """

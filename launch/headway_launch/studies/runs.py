@@ -103,7 +103,7 @@ def rules_beside(runs: "RunSelection", metric: str) -> dict[str, dict[str, float
     played = runs.rules()
     if not group.startswith("evaluation_") or column not in played:
         return {}
-    # The rules may have played more episodes: those of the last evaluation.
+    # Rules may also have played the additional episodes of the last evaluation; these are left out.
     episodes = {
         runs.names[row.cell].task: int(configuration(row.directory)["evaluation"]["episodes"])
         for row in runs.rows

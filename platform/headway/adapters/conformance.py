@@ -1,4 +1,4 @@
-"""Checks of the `BatchedEnv` contract, for any environment, third parties' included.
+"""Checks of the `BatchedEnv` contract for any environment, including those of third parties.
 
     from headway.api import CHECKS, play
 

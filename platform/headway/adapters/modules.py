@@ -133,7 +133,7 @@ def _make_parallel(module: str, options: AdapterOptions, given: Any) -> Any:  # 
 
 def _imported(name: str) -> ModuleType:
     require_environment_module(name)
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # it greets on stdout, where tables go
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # keeps pygame's greeting off stdout
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -177,7 +177,7 @@ def _parallel(name: str, env: Any) -> Any:  # noqa: ANN401 - PettingZoo comes wi
         )
     if not env.metadata.get("is_parallelizable", False):
         raise HeadwayError(
-            f"env.id={name} is played turn by turn and its metadata does not say is_parallelizable: "
+            f"env.id={name} is played turn by turn and its metadata does not set is_parallelizable: "
             "all agents must act at once here; choose an environment with parallel_env"
         )
     return aec_to_parallel(env)

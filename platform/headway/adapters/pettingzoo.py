@@ -394,8 +394,8 @@ class ParallelEnvBatch:
         if (stuck := np.argwhere(alive & ~allows_action(self._spec.action_space, masks))).size:
             copy, agent = stuck[0]
             raise HeadwayError(
-                f"environment '{self._spec.name}' allows agent '{self._spec.agents[agent]}' of copy {copy} "
-                f"no action at step {self._steps}; its action_mask must allow at least one"
+                f"environment '{self._spec.name}' leaves agent '{self._spec.agents[agent]}' of copy {copy} "
+                f"without an allowed action at step {self._steps}; its action_mask must allow at least one"
             )
 
 

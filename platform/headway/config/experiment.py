@@ -39,17 +39,18 @@ class EnvConfig:
     training_args: Mapping[str, Any] | None = None
     """Arguments that override `args` in training only, such as a reward that is easier to learn from.
     Evaluation, rules and all reported metrics use `args`; only the `training/...` columns of a curve use
-    these. null: none, and those of a preset are dropped; `{}` keeps a preset's."""
+    these. Setting null drops the training arguments of a preset; setting `{}` keeps them."""
     wrappers: tuple[Any, ...] = ()
     """Wrappers by name (see `headway list wrappers`), the innermost first: `[{name: frame_stack_v1,
     stack_size: 4}, clip_reward_v0]`. Wrappers that only change rewards are used in training only."""
     shared_reward: bool | None = None
-    """For PettingZoo environments by module path: all agents get the same reward at every step, so that a
-    team's critic reads one. Checked against the rewards paid. null: no, with a notice if all rewards are
-    equal in a few steps of random play before training; only the user can know whether they always are."""
+    """For PettingZoo environments by module path: whether all agents get the same reward at every step, so
+    that one value per team suffices for a central critic. If true, rewards are checked for equality. null:
+    false, with a notice before training if all rewards are equal in a few steps of random play, since only
+    the user can know whether they always are."""
     agents_come_and_go: bool | None = None
-    """For PettingZoo environments by module path: agents may leave before the episode ends. null: what the
-    environment's metadata or infos say, else no."""
+    """For PettingZoo environments by module path: whether agents may leave before the episode ends. null: as
+    declared by the environment's metadata or infos, otherwise false."""
     max_copies_per_process: int | None = None
     """For PettingZoo environments by module path: maximum number of copies in one process. null: no limit."""
 

@@ -1,4 +1,4 @@
-"""From mappings (YAML, command line) to frozen records, with one-line errors."""
+"""Construction of frozen records from mappings (YAML, command line), with one-line errors."""
 
 import ast
 import dataclasses
@@ -303,7 +303,7 @@ def _wrong_type(wanted: str, value: object, key: str) -> HeadwayError:
     kind = kinds.get(type(value), "a mapping" if isinstance(value, Mapping) else "a list")
     hint = _number_hint(value, wanted) if isinstance(value, str) else ""
     if wanted == "text" and kind in ("true or false", "a whole number", "a number"):
-        hint = f"; write it in quotes, in a shell in two kinds: \"{key}='{shown(value)}'\""
+        hint = f"; write it in quotes (in a shell, in two pairs): \"{key}='{shown(value)}'\""
     article = "a " if wanted.startswith(("number", "whole number", "list", "mapping")) else ""
     return HeadwayError(f"{key}={shown(value)} is {kind}, where {article}{wanted} is wanted{hint}")
 

@@ -14,9 +14,10 @@ class HeadwayError(Exception):
 
 
 class InvalidValueError(ValueError):
-    """A value that a configuration record rejects.
+    """A value that a configuration record rejects. The message consists of `key` and `problem`.
 
-    `key` is the record's, or of a record in it (`model.core`); `problem` ends the sentence that it begins.
+    `key`: the field, with dots if it belongs to a nested record (`model.core`). `problem`: the rest of the
+    sentence, such as "must be above 0".
     """
 
     def __init__(self, key: str, problem: str) -> None:
@@ -25,7 +26,10 @@ class InvalidValueError(ValueError):
 
 
 class UnknownKeyError(HeadwayError):
-    """A key that a configuration does not have. `key` is its full name and `owner` what should have it."""
+    """A key that a configuration does not have.
+
+    `key`: its full name; `owner`: the configuration's name in the message; `hint`: what to do.
+    """
 
     def __init__(self, key: str, owner: str, hint: str) -> None:
         super().__init__(f"{key} is not a key of {owner}; {hint}")

@@ -28,8 +28,8 @@ def _import_blocked(*names: str) -> Iterator[None]:
 
 # Importing numba probes scipy's linear algebra, which no kernel here calls: 16 MB per worker and half its
 # import time. Compiled code that calls `dot` or `numpy.linalg` finds scipy later. The price: numba fixes
-# `_HAVE_BLAS` here for the whole process, so compiled `numpy.convolve` and `correlate` run without BLAS: more
-# slowly, and with other last bits.
+# `_HAVE_BLAS` here for the whole process, so compiled `numpy.convolve` and `correlate` run without BLAS: they
+# are slower, and round differently in the last bits.
 with _import_blocked("scipy", "scipy.linalg.cython_blas"):
     import numba
 

@@ -20,7 +20,7 @@ class PublishedResult:
 
 @dataclass(frozen=True)
 class PublishedResults:
-    """Results that one publication reports for an environment, with which `headway report` compares."""
+    """Results that one publication reports for an environment; `headway report` compares runs with them."""
 
     source: str
     """The publication and the tables or figures that the numbers were taken from."""

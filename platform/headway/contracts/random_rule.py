@@ -57,7 +57,7 @@ class RandomRule:
 
 
 RANDOM = RuleEntry(
-    "plays uniformly at random, of discrete actions those allowed: the zero of normalised scores",
+    "plays uniformly at random among the allowed actions; its return is 0 on the normalised scale",
     lambda prepared: RandomRule(),
 )
 """The rule `random`, registered for every environment."""

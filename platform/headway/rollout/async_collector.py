@@ -66,7 +66,7 @@ class PoolContributors:
         """
         while True:
             worker = self._next_ready() if turn is None else turn
-            # Named by contribution, since a fast worker may fail in several of them in one iteration.
+            # Named by contribution, because a fast worker may fail in several contributions of one iteration.
             self.pool.restart_purpose = f"env restart for contribution {self.tasks[worker].number}"
             done = self.pool.receive(worker, self.tasks[worker])
             if done is not None:
@@ -151,7 +151,10 @@ class SerialContributors:
         self.tasks[worker] = task
 
     def next_done(self, turn: int | None) -> tuple[int, Contribute, Done]:
-        """Execute a task; return its worker, task and answer. `turn`: worker; None: that assigned first."""
+        """Execute a task; return its worker, task and answer.
+
+        `turn`: worker whose task to execute; None: the one whose task was assigned first.
+        """
         worker = next(iter(self.tasks)) if turn is None else turn
         task = self.tasks.pop(worker)
         return worker, task, self.workers[worker].execute(task)

@@ -196,8 +196,8 @@ def plot_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) 
 def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:
     """Return the rules that may extend an axis from `low` to `high`.
 
-    Rules are taken in order of distance: the nearest, and each next one within five times the range so far. A
-    rule that fails (buses at random) would flatten all else.
+    Rules are added in order of distance, the nearest always, until the next one is farther away than five
+    times the range so far. A rule that fails, such as random bus control, would flatten all curves.
     """
 
     def distance(rule: str) -> float:

@@ -15,7 +15,7 @@ def require_same_shapes(
 
     `parameters` are those of `replicas` replicas, from the run folder `run`.
     """
-    # A run is loaded with its stored configuration: only a change of the environment explains other shapes.
+    # A run is loaded with its stored configuration, so shapes differ only if the environment has changed.
     for name, (shape, _) in policy.parameter_shapes(replicas).items():
         if name not in parameters or np.shape(parameters[name]) != shape:
             raise HeadwayError(

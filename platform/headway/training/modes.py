@@ -78,7 +78,7 @@ class AsynchronousMode:
         self.deterministic = learner.in_turns or contributors.in_turns
 
     def iterate(self, iteration: int, progress: float) -> IterationResult:
-        """Apply one contribution per worker on average; metrics are means over the contributions."""
+        """Apply as many contributions as there are workers; metrics are means over these contributions."""
         start, learn_s, workers = time.monotonic(), 0.0, self.contributors.number
         before = (iteration - 1) * workers
         # Workers are idle in the first iteration, and after a resume without snapshots.

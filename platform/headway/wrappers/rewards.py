@@ -32,7 +32,7 @@ class ClipReward:
     """Largest reward, at least 0."""
 
     def __post_init__(self) -> None:
-        # SuperSuit clips a reward in N summands, all but one of them 0.
+        # SuperSuit clips each of the N terms that sum to a reward; all but one of them are 0.
         bounds = f"lower_bound {self.lower_bound} and upper_bound {self.upper_bound}"
         require(self.lower_bound <= 0 <= self.upper_bound, f"{bounds} must have 0 between them")
 

@@ -115,7 +115,7 @@ def _renderer_behind(make: Callable[[Any], Renderer]) -> Callable[[Wrapped], Ren
 def behind_wrappers(env: BatchedEnv) -> BatchedEnv:
     """Return the environment inside all wrappers.
 
-    For a ParallelEnv with a native batch behind it, return that batch of one copy, of the first copy.
+    If this is made of ParallelEnvs on top of native batches of one copy, return the first copy's batch.
     """
     inner, _ = _innermost(env, None)
     return _natives(inner)[0][0] if _shows_native(inner) else inner

@@ -1,5 +1,7 @@
 """Means per seed, and the advice when training diverges."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -14,13 +16,18 @@ def test_networks_that_took_no_step_do_not_count_in_the_mean() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "advice"),
+    ("name", "settings", "of_critic", "advice"),
     [
-        ("mappo", "lower algo.lr, or bound the gradients by algo.grad_clip"),
-        ("matrpo", "lower algo.lr or algo.kl_bound, or bound the gradients by algo.grad_clip"),
-        ("maacktr", "lower algo.lr or algo.kl_bound"),
-        ("madqn", "lower algo.lr, or bound the gradients by algo.grad_clip"),
+        ("mappo", {}, False, "lower algo.lr or algo.grad_clip"),
+        ("mappo", {"grad_clip": None}, False, "lower algo.lr, or bound the gradients by algo.grad_clip"),
+        ("mappo", {"critic_lr": 1e-3}, True, "lower algo.critic_lr or algo.grad_clip"),
+        ("matrpo", {}, False, "lower algo.lr or algo.kl_bound or algo.grad_clip"),
+        ("maacktr", {}, False, "lower algo.lr or algo.kl_bound"),
+        ("maacktr", {}, True, "lower algo.critic_lr or algo.critic_kl_bound"),
+        ("madqn", {}, False, "lower algo.lr or algo.grad_clip"),
     ],
 )
-def test_the_advice_names_keys_of_the_algorithm(name: str, advice: str) -> None:
-    assert remedy(configure(name)) == advice
+def test_the_advice_names_keys_of_the_algorithm(
+    name: str, settings: dict[str, Any], of_critic: bool, advice: str
+) -> None:
+    assert remedy(configure(name, **settings), of_critic) == advice

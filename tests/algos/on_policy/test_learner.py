@@ -434,7 +434,7 @@ def test_critic_update_and_order_are_three_choices(
     _assert_close(results[1], results[0])
 
 
-@pytest.mark.parametrize("kind", ["update", "critic_update", "order"])
+@pytest.mark.parametrize("kind", ["critic", "update", "critic_update", "order"])
 def test_components_of_other_packages_train(
     kind: str, fabricate: Fabricate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -455,6 +455,8 @@ def test_components_of_other_packages_train(
 
 class RewardAbovePar:
     """A critic without networks: reward minus the mean of earlier rewards; one viewpoint, or N."""
+
+    exchangeable_agents = False
 
     def __init__(
         self,

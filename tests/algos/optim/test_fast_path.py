@@ -203,6 +203,7 @@ from headway_algos import kernels
 kernels.warm()
 for name in ("step_networks", "descend_gaussian", "descend_categorical", "descend_returns"):
     print(name, sorted(map(str, getattr(kernels, name).signatures)))
+print("layer", sorted(map(str, kernels.perceptron.layer.signatures)))
 """
 
 
@@ -220,6 +221,7 @@ def test_training_compiles_nothing_after_warm_up() -> None:
     warmed = dict(line.split(" ", 1) for line in done.stdout.splitlines())
     for name in ("descend_gaussian", "descend_categorical", "descend_returns"):
         assert str(sorted(map(str, getattr(kernels, name).signatures))) == warmed[name]
+    assert str(sorted(map(str, kernels.perceptron.layer.signatures))) == warmed["layer"]
     of_adam: Any = kernels.step_networks
     assert all(str(signature) in warmed["step_networks"] for signature in of_adam.signatures)
 

@@ -202,7 +202,7 @@ def test_unsuitable_arguments_are_one_line_errors(arguments: dict[str, Any], mes
         ("somezoo.nothing_v0", "has neither parallel_env nor env"),
         ("somezoo.broken_v0", "cannot be imported: RuntimeError: out of order"),
         ("somezoo.needy_v0", "needs the package some_missing_simulator"),
-        ("somezoo.unparallel_v0", "is played turn by turn and its metadata does not say is_parallelizable"),
+        ("somezoo.unparallel_v0", "is played turn by turn and its metadata does not set is_parallelizable"),
         ("pettingzoo.classic.rps_v2", "agent 'player_0' observes a Discrete.*flatten it to a Box"),
     ],
 )

@@ -60,7 +60,7 @@ def test_a_choice_without_an_allowed_option_is_an_error() -> None:
         env._draw = without_the_first_dial  # type: ignore[method-assign]
         return env
 
-    with pytest.raises(HeadwayError, match="agent 'agent_1' of copy 0 no action at step 0"):
+    with pytest.raises(HeadwayError, match="agent 'agent_1' of copy 0 without an allowed action at step 0"):
         AdapterOptions().adapt(stuck, 1, "dials").reset(np.zeros(1, np.uint64))
 
 

@@ -212,7 +212,7 @@ def test_a_live_agent_without_allowed_actions_is_an_error() -> None:
 
     env = batch(script)
     env.reset(seeds())
-    with pytest.raises(HeadwayError, match="allows agent 'b' of copy 0 no action at step 1"):
+    with pytest.raises(HeadwayError, match="leaves agent 'b' of copy 0 without an allowed action at step 1"):
         env.step(NOTHING)
 
 

@@ -23,6 +23,10 @@ class Critic(Protocol):
     Everything carried from one iteration to the next is part of its state.
     """
 
+    exchangeable_agents: bool
+    """An agent's value depends on its own observations and rewards only, so that slots that no agent used may
+    be left out."""
+
     def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
         """Return advantages and the data that `fit` needs, without changing the critic.
 

@@ -50,8 +50,10 @@ class CentralConfig(CriticConfig):
 
 @dataclass(frozen=True)
 class CounterfactualConfig(CriticConfig):
-    """Q(s, u) for each of the agent's own actions."""
+    """Q(s, u), with one value for each action that the agent could take."""
 
+    gae_lambda: float = CriticConfig.gae_lambda
+    """Lambda of the TD(lambda) targets and of the advantages."""
     target_every: int = 4
     """Iterations between updates of the critic's target network; 1: after every iteration."""
 

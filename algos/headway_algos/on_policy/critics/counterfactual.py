@@ -23,7 +23,7 @@ from headway_algos.on_policy.critics.reward_streams import lambda_advantages
 
 
 class CounterfactualCritic:
-    """Q(s, u^-a, o^a, id_a) with one output per own action, and a target network Q'.
+    """Q(s, u^-a, o^a, id_a) with one output for each action of agent a, and a target network Q'.
 
     Advantages are `counterfactual_advantages`. Returns are TD(lambda) targets over the target network's Q' of
     the actions taken,
@@ -32,12 +32,14 @@ class CounterfactualCritic:
 
     computed as Q' plus its generalised advantage, so that stream ends, absences and team returns are treated
     as for values. Where no action was taken (after the last step, at a final observation), the others'
-    actions are sampled once from the behaviour policy, and Q' is averaged over the own action:
+    actions are sampled once from the behaviour policy, and Q' is averaged over the agent's own action:
     sum_u pi(u|o) Q'(s, u).
 
     The target network, normalisers included, is copied from the critic after the first fit and after every
     `target_every`-th fit from there on.
     """
+
+    exchangeable_agents = False
 
     def __init__(
         self,

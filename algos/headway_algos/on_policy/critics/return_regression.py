@@ -21,9 +21,9 @@ from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.networks.network import make_network
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.networks.timeline import Timeline
-from headway_algos.on_policy.critics.compiled_steps import compiled_critic_steps
 from headway_algos.on_policy.critics.config import CriticConfig, KFACCriticConfig
 from headway_algos.on_policy.critics.critic_inputs import CriticInputs
+from headway_algos.on_policy.critics.critic_kernels import compiled_critic_steps
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.reward_streams import presence, stream_begins
 from headway_algos.optim.adam import StackedAdam
@@ -32,8 +32,8 @@ from headway_algos.optim.gradient_steps import Steps, autograd_steps
 from headway_algos.optim.kfac_regression import KFACRegression
 
 RETURN_MEMORY, RETURN_BATCHES, RETURN_SHARE = 1000.0, 5.0, 0.1
-"""Maximum total weight of all earlier batches in the statistics by which returns are normalised: in rows, in
-batches like the new one, and as a share of all rows so far, whichever is most.
+"""Maximum total weight of all earlier batches in the statistics that normalise returns: the largest of a
+number of rows, a multiple of the new batch's rows, and a share of all rows so far.
 
 Returns change as policies learn. With equal weights, large early returns would dominate the scale for the
 rest of training; if only the last batch counted, the values learned so far would change with its scale, and

@@ -31,6 +31,7 @@ class ValueCritic:
 
     inputs: ClassVar[MakeInputs]
     """What the critic observes."""
+    exchangeable_agents = False
 
     def __init__(
         self,
@@ -121,6 +122,7 @@ class LocalCritic(ValueCritic):
     """V(o) of an agent's own observation."""
 
     inputs = LocalInputs
+    exchangeable_agents = True
 
 
 class CentralCritic(ValueCritic):

@@ -41,9 +41,9 @@ class Update(Protocol):
         ...
 
     def narrow(self, policies: Tensor) -> Self:
-        """Return this update for copies of `policies` (n,) and their state.
+        """Return a copy of this update that holds only `policies` (n,) and their state.
 
-        The sequential order updates policies in such a part, then calls `adopt`.
+        The sequential order updates such a copy, then calls `adopt`.
         """
         ...
 

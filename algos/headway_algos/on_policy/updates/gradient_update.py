@@ -13,7 +13,6 @@ from headway_algos.batches.minibatches import Piece
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.schedule import MinibatchSchedule
 from headway_algos.networks.actor import Actor
-from headway_algos.on_policy.updates.compiled_steps import compiled_policy_steps
 from headway_algos.on_policy.updates.config import GradientUpdateConfig, PPOConfig
 from headway_algos.on_policy.updates.kl_penalty import KLPenalty, OldPolicies
 from headway_algos.on_policy.updates.losses import (
@@ -24,6 +23,7 @@ from headway_algos.on_policy.updates.losses import (
     checked_loss,
     require_reports,
 )
+from headway_algos.on_policy.updates.policy_kernels import compiled_policy_steps
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.gradient_steps import autograd_steps
 

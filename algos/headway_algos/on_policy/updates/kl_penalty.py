@@ -94,7 +94,8 @@ class KLPenalty:
 def adapted_coefficients(coefficients: Tensor, kl: Tensor, target: float) -> Tensor:
     """Return the coefficients (P,) for the next update, given the mean KL divergence (P,) of this one.
 
-    Times 1.5 above 2 `target`, times 0.5 below `target` / 2, unchanged where it is NaN.
+    They are multiplied by 1.5 where the divergence is above 2 `target` and by 0.5 where it is below
+    `target` / 2; they are unchanged where it is NaN.
     """
     coefficients = torch.where(kl > 2 * target, coefficients * 1.5, coefficients)
     return torch.where(kl < target / 2, coefficients * 0.5, coefficients)

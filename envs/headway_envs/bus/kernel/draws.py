@@ -19,7 +19,7 @@ ARRIVAL, PATIENCE, DEMAND_DAY, DEMAND_HOUR, ALIGHTING, BREAKDOWN = 9, 10, 11, 12
 
 @compiled
 def exponential(key: np.uint64, purpose: int, first: int, second: int) -> float:
-    """Draw an exponential number of mean 1."""
+    """Draw from the exponential distribution with mean 1."""
     return -math.log(uniform(key, purpose, first, second))
 
 

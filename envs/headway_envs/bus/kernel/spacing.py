@@ -55,8 +55,8 @@ def _next_departure(net: Network, world: World, c: int, pattern: int, own_trip: 
 def _set_spacing(net: Network, world: World, c: int, n: int, line: int, now: float) -> None:
     """Set the slot's time spacings to the bus ahead and to the bus behind, over the target headway.
 
-    Ahead of the pattern's first bus counts the bus that finished last, as if it had driven on; behind the
-    last bus counts the next scheduled departure.
+    For the pattern's first bus, the bus ahead is the one that finished last, as if it had driven on; for the
+    last bus, the bus behind is the next scheduled departure.
     """
     slot = world.slots[c, n]
     on_route = slot.phase == DRIVING or slot.phase == STANDING

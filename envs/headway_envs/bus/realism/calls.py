@@ -24,8 +24,9 @@ COLUMNS = (
 """Columns of a day's calls, which are sorted by trip.
 
 `trip`: number; `seq0`: position among the trip's `calls`; `visit`: number of earlier calls of the trip at
-that stop; `arrived`, `left`: s after midnight, NaN where there is none; `time`: arrival, at the first call
-departure, s; `boarded`: passengers; `load`: passengers aboard at departure, NaN at the last call.
+that stop; `arrived`, `left`: s after midnight, NaN where there is none; `time`: arrival (at the first call:
+departure), s after midnight; `boarded`: passengers; `load`: passengers aboard at departure, NaN at the last
+call.
 """
 
 

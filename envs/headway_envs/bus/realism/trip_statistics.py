@@ -27,12 +27,12 @@ BUNCHED = 0.25
 
 
 def cv_name(fifth: int) -> str:
-    """Return the name of the headway CV in a fifth of the route, counted from 0."""
+    """Return the name of the headway CV in one fifth of the route; `fifth` is 0 to 4."""
     return f"headway CV, fifth {fifth + 1}"
 
 
 def bunched_name(fifth: int) -> str:
-    """Return the name of the bunched share in a fifth of the route, counted from 0."""
+    """Return the name of the share of bunched headways in one fifth of the route; `fifth` is 0 to 4."""
     return f"bunched share, fifth {fifth + 1}"
 
 

@@ -44,10 +44,10 @@ def terminals(stops: pd.DataFrame, ends: NDArray[np.int64]) -> dict[int, int]:
 
 
 def chain_at_terminals(trips: pd.DataFrame) -> NDArray[np.int64]:
-    """Return a vehicle for each trip (J,), from columns dep_s, arr_s and the terminals `begin` and `end`.
+    """Return the vehicle number of each trip (J,), given its dep_s, arr_s and terminals `begin` and `end`.
 
-    In order of departure, each trip takes the vehicle that has waited longest at its first terminal, or else
-    a new one.
+    Trips are assigned in order of departure. Each gets the vehicle that has waited longest at its first
+    terminal, or a new one if none is ready there.
     """
     waiting: dict[int, list[tuple[float, int]]] = {}
     vehicle = np.zeros(len(trips), np.int64)

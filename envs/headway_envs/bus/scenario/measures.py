@@ -24,7 +24,7 @@ def distance_m(lat: Floats, lon: Floats, lat2: Floats, lon2: Floats) -> Floats:
 
 
 def metres_along(tables: Tables) -> "pd.Series[float]":
-    """Return the distance from the pattern's first call along its links, m, by pattern and seq0, in order."""
+    """Return each call's distance along the links from the first call, m, indexed by pattern and seq0."""
     calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
     metres = tables.links.set_index("link")["leg_m"].astype(np.float64).reindex(calls["link"])
     legs = pd.Series(metres.to_numpy(), index=pd.MultiIndex.from_frame(calls[["pattern", "seq0"]]))

@@ -112,11 +112,12 @@ def _boardings(pattern: int, day: str, boarding: Floats, trips: pd.DataFrame, me
 
 
 def service_by_hour(count: int, trips: pd.DataFrame) -> tuple[NDArray[np.int64], Floats]:
-    """Return hours (H,), and shares (count, H) of each hour's passengers for whom a bus comes, per stop.
+    """Return hours (H,) and, per stop and hour, the share (count, H) of the passengers for whom a bus comes.
 
-    Passengers arrive as in `network.build`: from one headway before the first bus to the last bus, and those
-    of an hour from the middle of the hour before to the middle of the next, most of them in between. Stops
-    are assumed to be reached at even intervals. Hours with less than half the share of the best hour get 0.
+    Passengers arrive from one headway before the first bus to the last bus, as in `network.build`. Those of
+    an hour arrive from the middle of the previous hour to the middle of the next one, most of them within the
+    hour. Stops are assumed to be reached at even intervals. Hours with less than half the share of the best
+    hour get 0.
     """
     departures = np.sort(trips["dep_s"].to_numpy(np.float64))
     headway = np.interp(departures[0], KNOT_S, smooth_departures(departures, KNOT_S).headway)

@@ -33,7 +33,7 @@ from headway_envs.bus.scenario.passengers import alighting_shares, spread_by_ten
 from headway_envs.bus.scenario.tables import NO_LINK, Tables
 
 FLEETS = {"line": (14,), "corridor": (20, 16, 14, 12, 11, 10, 9, 8, 6, 4)}
-"""Number of buses at once on each line of a size, at the weekday's peak."""
+"""Number of buses in service at once on each line at the weekday peak, by size of the scenario."""
 _STOPS = {"line": (30, 45), "corridor": (15, 60)}
 """Assumption: smallest and largest number of stops of a pattern, as on frequent lines. Patterns outside are
 drawn again."""

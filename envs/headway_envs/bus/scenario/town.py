@@ -41,9 +41,9 @@ LINES = {"district": 40, "city": 382}
 SITES = {"district": 560, "city": 1425}
 """Number of pairs of stops. In SUNT, 382 lines call at 2,850 stops, and the 40 busiest at 1,118."""
 FLEETS = {"district": 440, "city": 1359}
-"""Number of buses at once at the weekday's peak: of SUNT's 40 busiest lines, and of all its lines."""
+"""Number of buses in service at the weekday peak: on SUNT's 40 busiest lines, and on all its lines."""
 FLEET_SD = {"district": 0.38, "city": 0.83}
-"""Sd of the log of the number of buses at once per line: of SUNT's 40 busiest lines, and of all its lines."""
+"""Sd of the log of the number of buses per line at the peak: SUNT's 40 busiest lines, and all its lines."""
 MAX_FLEET = 25
 """Number of buses at once on SUNT's busiest line."""
 SERVICE_SD = 0.5

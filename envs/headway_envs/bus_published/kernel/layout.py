@@ -23,7 +23,7 @@ WAIT_REWARD = -0.1
 SERVICE_REWARD_S = 600.0
 """Unit of the detour in the reward of service, -(1 + detour / this), s."""
 REFUSED_REWARD = -20.0
-"""Reward of asking for service without fuel for the way."""
+"""Reward of SERVICE_CENTER if the fuel does not last for the way to the centre."""
 DETOUR_SHARE = 0.3
 """Duration of the way to the centre as a share of the shortest path's time. The way back takes no time."""
 FUEL_CAPACITY = 100.0

@@ -17,7 +17,7 @@ def observe(net: Network, k: Record, world: World, outputs: Outputs, c: int) -> 
         route = n // k.agents_per_route
         first, last = net.route_first[route], net.route_first[route + 1] - 1
         place = first + bus.place
-        # The last stop has no next one: the observed stop replaces it, and the mean link time its link.
+        # At the last stop, which has no next one, use the observed stop and the mean link time instead.
         following, ahead = net.route_call[place], bus.stop
         seconds = net.travel_s[net.call_stop[following], following]
         if place < last:

@@ -1,4 +1,4 @@
-"""Commands to the vehicles of a SUMO simulation, steps of it, and readings from it."""
+"""Bridge to a SUMO simulation: commands its vehicles, runs its steps and reads the state of its vehicles."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass

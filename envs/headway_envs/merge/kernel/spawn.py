@@ -61,8 +61,8 @@ def _place_vehicle(net: Network, key: np.uint64, car: Record, index: int, lane_i
 def begin_episode(net: Network, k: Record, world: World, c: int, seed: np.uint64, number: int) -> None:
     """Reset copy c to the start of an episode.
 
-    Half of the CAVs and half of the HDVs, both rounded down, start on the highway, the others on the ramp; of
-    two ramp lanes, each with equal probability."""
+    Half of the CAVs and half of the HDVs, both rounded down, start on the highway, the others on the ramp; if
+    there are two ramp lanes, on either with equal probability."""
     episode, cars = world.episodes[c], world.cars[c]
     key = episode_key(seed, number)
     episode.seed, episode.key, episode.number, episode.step = seed, key, number, 0

@@ -171,7 +171,7 @@ class RayTraining:
         killing.join(_WAIT_S)
 
     def join(self) -> str:
-        """Wait for the end; return how the process ended, for one that sent no final event."""
+        """Wait for the process to end; return how it ended, as a message in case it sent no final event."""
         self._relay.join()
         self.kill()
         self._events.close()

@@ -127,7 +127,7 @@ def _open_connection(ray: Any, address: str) -> None:  # noqa: ANN401 - a module
         where = "" if address == "local" else f" at {address}"
         if _NO_TOKEN in f"{error} {error.__cause__}":
             raise HeadwayError(
-                f"the Ray cluster{where} asks for a token: set RAY_AUTH_MODE=token, here and where nodes are "
+                f"the Ray cluster{where} requires a token: set RAY_AUTH_MODE=token, here and where nodes are "
                 "started, and RAY_AUTH_TOKEN unless ~/.ray/auth_token holds the head's token"
             ) from error
         raise HeadwayError(f"the Ray cluster{where} cannot be used: {_one_line(error)}") from error

@@ -116,7 +116,8 @@ class SharedPickle(Generic[ValueT]):
 
 def give_back_memory() -> None:
     """Return freed memory to the system, if the C library can."""
-    # glibc keeps freed memory between blocks in use: after a large environment's set-up, more than is used.
+    # glibc keeps freed memory that lies between blocks in use: after the set-up of a large environment, this
+    # can be more than the memory in use.
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
     if trim is not None:
         trim(0)

@@ -54,7 +54,7 @@ class RunSync:
     def send(self, tracker: Tracker) -> None:
         """Send what MLflow lacks: the run and its tags, its curve up to the last checkpoint.
 
-        Of an ended run also the files and the status; of a finished one also the summary.
+        For an ended run, also its files and status; for a finished one, also its summary.
         """
         record = RunRecord.read(self.directory)
         ended, tags = record.settled_status != "RUNNING", _run_tags(record)

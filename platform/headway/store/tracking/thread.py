@@ -17,7 +17,7 @@ TrackingUpdate = Callable[[Tracker], object]
 
 
 class TrackingThread:
-    """Sends updates in a background thread, equal ones that are pending once.
+    """Sends updates in a background thread; equal pending updates are sent only once.
 
     While MLflow fails, updates stay pending: one notice says so, and the thread retries at intervals and at
     the end. An update that fails for another reason, such as an unreadable run, gives one notice and is
@@ -136,7 +136,7 @@ class TrackingThread:
         except TrackingError:
             raise
         except Exception as error:  # no tracking error may end the session
-            notice = f"MLflow does not get everything ({_message(error)}): training goes on"
+            notice = f"MLflow is incomplete ({_message(error)}): training goes on"
             if notice not in self._reported:
                 self._reported.add(notice)
                 self._notices.put(notice)

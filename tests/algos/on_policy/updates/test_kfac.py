@@ -410,10 +410,10 @@ def test_sampled_scores_of_a_gaussian_are_gradients_of_its_log_density() -> None
 def test_other_networks_are_refused_in_one_line() -> None:
     update = _update(DISCRETE)
     update.actor.network = nn.Linear(2, 2)  # type: ignore[assignment]
-    with pytest.raises(HeadwayError, match="K-FAC takes multilayer perceptrons") as caught:
+    with pytest.raises(HeadwayError, match="K-FAC needs multilayer perceptrons") as caught:
         KFAC(update.actor, CONFIG, Layout(Grouping.of("shared", BOX), P, torch.device("cpu"), DOUBLE))
     assert "\n" not in str(caught.value)
-    with pytest.raises(HeadwayError, match="K-FAC takes multilayer perceptrons"):
+    with pytest.raises(HeadwayError, match="K-FAC needs multilayer perceptrons"):
         KFACRegression(nn.Linear(2, 2), CONFIG, 0.1, 0.1)
 
 

@@ -82,7 +82,7 @@ def test_a_cluster_that_requires_a_token_is_refused_with_the_setting(
         for process in ray_processes() - before:
             process.kill()
     assert_gone(before)
-    assert f"the Ray cluster at 127.0.0.1:{port} asks for a token: set RAY_AUTH_MODE=token" in refusal
+    assert f"the Ray cluster at 127.0.0.1:{port} requires a token: set RAY_AUTH_MODE=token" in refusal
 
 
 def _answered(server: socket.socket, port: int) -> str:

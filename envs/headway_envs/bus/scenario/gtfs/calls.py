@@ -26,7 +26,7 @@ class Calls:
     stop: Integers
     """(Q,) row of the stop in the frame of places"""
     time: Floats
-    """(Q,) arrival time, at a trip's first call departure time, s; increasing along a trip"""
+    """(Q,) arrival time (at a trip's first call: departure time), s; increasing along a trip"""
     along: Floats
     """(Q,) sum of straight-line distances since the trip's first call, m"""
 
@@ -87,11 +87,11 @@ def clean_calls(
     along = _sum_along_trip(_leg_metres(stops, stop) * ~begins, begins)
     counted["times blank, set by distance"] += int(np.isnan(time).sum())
     decreasing = _decreasing(time, trip)
-    counted["times before the one before, set by distance"] += int(decreasing.sum())
+    counted["times before the previous one, set by distance"] += int(decreasing.sum())
     time[decreasing] = np.nan
     known = ~np.isnan(time)
     same = _repeated(time, known, trip, ends)
-    counted["times equal to the one before, spread by distance"] += int(same.sum())
+    counted["times equal to the previous one, spread by distance"] += int(same.sum())
     shape = _scale_to_metres(shape, along, begins)
     way = np.where(_has_complete_shape(shape, trip, begins, len(trips))[trip], shape, along)
     legs = np.append(0.0, np.diff(way))
@@ -225,8 +225,8 @@ def _repeated(
 ) -> NDArray[np.bool_]:
     """Return which known times repeat the previous known time of their trip.
 
-    A trip's last time is kept: instead, the calls before it with the same time are marked, other than the
-    trip's first.
+    A trip's last time is kept even if it repeats: the earlier calls with the same time are marked instead,
+    except the trip's first.
     """
     where = np.flatnonzero(known)
     repeats = np.append(False, (np.diff(time[where]) <= 0) & (np.diff(trip[where]) == 0))
@@ -234,7 +234,7 @@ def _repeated(
     same[where[repeats]] = True
     for last in np.flatnonzero(ends & same):
         same[last] = False
-        # Mark the calls before it with the same time instead, other than the trip's first.
+        # Instead, mark the earlier calls with the same time, except the trip's first.
         call = last - 1
         while trip[call] == trip[last] and (not known[call] or time[call] >= time[last]):
             same[call] = known[call]

@@ -92,7 +92,7 @@ def seconds(file: str, column: str, texts: "pd.Series[str]") -> Floats:
     Raises HeadwayError that names the line of any other text.
     """
     codes, values = pd.factorize(texts)
-    parsed = np.full(len(values) + 1, np.nan)  # the last one for code -1, a blank
+    parsed = np.full(len(values) + 1, np.nan)  # the extra last element is for code -1, a blank
     for place, text in enumerate(values):
         parts = str(text).split(":")
         if len(parts) != 3 or not all(part.strip().isdigit() for part in parts):

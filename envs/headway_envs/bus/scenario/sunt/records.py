@@ -25,8 +25,8 @@ HOLIDAYS = (
 FARES_MISSING = 1.0
 """Boardings per trip below which a day's fares are taken to be missing (2024-08-26: 0.03)."""
 ALIGHTINGS_MISSING = 0.9
-"""Alightings per boarding below which alightings are taken for unexpanded counts, unlike boardings (until
-April 2024)."""
+"""Alightings per boarding below which a day's alightings are taken to be raw counts, although its boardings
+are expanded (until April 2024)."""
 UNPHYSICAL_LOAD = 150.0
 """Largest plausible load of a bus, passengers."""
 TRIP_KEYS = ("vehicle", "trip_id", "start_trip")
@@ -135,7 +135,7 @@ def read_day(file: Path, date: dt.date, counted: Counter[str]) -> Day:
         counted[f"{name} not whole (expanded), kept"] += int((values % 1 != 0).sum())
         calls[column] = values
     before = calls.groupby("trip")["time"].cummax()
-    counted["times before the call before, set to it"] += int((calls["time"] < before).sum())
+    counted["times before the previous call's, set to it"] += int((calls["time"] < before).sum())
     calls["time"] = before
     few = calls.groupby("trip")["seq"].transform("size") < 2
     counted["trips of one call, left out"] += int(calls.loc[few, "trip"].nunique())

@@ -170,8 +170,8 @@ def test_equal_times_are_spread_and_falling_ones_left_out(write_feed: FeedWriter
     np.testing.assert_allclose(weekday_seconds(tables, "I"), [60.0, 120.0, 60.0], rtol=0.01)
     np.testing.assert_allclose(weekday_seconds(tables, "V"), [120.0, 360.0], rtol=0.01)
     counted = tables.meta["counted"]
-    assert counted["times equal to the one before, spread by distance"] == 2
-    assert counted["times before the one before, set by distance"] == 1
+    assert counted["times equal to the previous one, spread by distance"] == 2
+    assert counted["times before the previous one, set by distance"] == 1
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.001])

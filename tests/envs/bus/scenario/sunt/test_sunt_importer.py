@@ -170,7 +170,7 @@ DEFECTS: dict[str, tuple[str, dict[str, int]]] = {
     "below": ("below", {"loads below 0, not used": 1}),
     "backwards": (
         "backwards",
-        {"times before the call before, set to it": 1, "link times of 0 s, not used": 1},
+        {"times before the previous call's, set to it": 1, "link times of 0 s, not used": 1},
     ),
     "timeless": ("timeless", {"calls without a time, left out": 1}),
     "still": ("still", {"trips that end when they begin, left out": 1}),

@@ -1,6 +1,6 @@
 """Minibatch steps of policies by compiled kernels: PPO's and A2C's losses, perceptrons in float32 on a CPU.
 
-`tests/algos/optim/test_fast_path.py` holds the kernels to autograd.
+`tests/algos/optim/test_fast_path.py` checks the kernels against autograd.
 """
 
 from functools import partial
@@ -35,7 +35,7 @@ def compiled_policy_steps(
     # The kernels have one categorical per row, not several.
     if networks is None or actor.nvec:
         return None
-    # A subclass is another loss.
+    # Exact types only: a subclass may compute another loss, for which there is no kernel.
     if type(loss) is PPOLoss:
         clipped, clip, entropy_coeff = True, float(loss.clip), float(loss.entropy_coeff)
     elif type(loss) is A2CLoss:
