@@ -29,7 +29,8 @@ def add_dry_run_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dry-run",
         action="store_true",
-        help="list the runs and estimate time and energy from a few iterations of each cell; stores nothing",
+        help="list the runs and estimate time and energy, from the finished runs of each cell or from a few "
+        "iterations; stores nothing",
     )
 
 

@@ -1,9 +1,11 @@
-"""A dry run: the runs of a session, and the time and energy that a short calibration predicts."""
+"""A dry run: the runs of a session, and their time and energy as finished runs or a calibration predict."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from heapq import heapify, heapreplace
 
 from headway.rollout.workers.usage import usable_cores
+from headway.store.run_folder import Process, read_summary
 from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.console.progress import duration
@@ -17,7 +19,8 @@ from headway_launch.studies.plan import StudyProgress
 def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan]) -> int:
     """Print the runs of a session and the estimated cost of training them; return the exit code.
 
-    Nothing is written to the store.
+    A cell with finished runs on this machine costs as much as their mean; the other cells are measured, by
+    training them for a few iterations. Nothing is written to the store.
 
     Raises HeadwayError if a cell cannot be trained.
     """
@@ -35,12 +38,15 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
         return 0
     print(flush=True)  # show the list during the calibration
     shares = share_cores(config.backend, planned, usable_cores())
-    paces, modes = calibrate([cell for cell in cells if cell.jobs], shares)
+    stored = [_as_finished_runs(each, cell) for each, cell in zip(progress, cells, strict=True)]
+    unknown = [cell for cell, known in zip(cells, stored, strict=True) if cell.jobs and not known]
+    paces, modes = calibrate(unknown, shares) if unknown else ({}, "")
     rows: list[tuple[Value, ...]] = []
     expected: list[Expectation] = []
-    for name, cell in zip(named, cells, strict=True):
+    for name, cell, known in zip(named, cells, stored, strict=True):
         if cell.jobs:
-            estimates = [paces[id(cell)].estimate(cell.experiment.config, job.iteration) for job in cell.jobs]
+            config = cell.experiment.config
+            estimates = known or [paces[id(cell)].estimate(config, job.iteration) for job in cell.jobs]
             rows.append(
                 (
                     name,
@@ -51,9 +57,10 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
             )
             expected += estimates
     columns = ("cell", "jobs", "s per job", "total CPU s", "total kWh", "total kg CO2eq")
-    known, cells_known = without_empty(columns, rows, columns[-1:])
-    print_table(known, cells_known, spare=known[:3:-1])
-    _print_totals(expected, shares.parallel, list(paces.values()), modes, config.backend.name)
+    kept, kept_rows = without_empty(columns, rows, columns[-1:])
+    print_table(kept, kept_rows, spare=kept[:3:-1])
+    finished = sum(map(bool, stored))
+    _print_totals(expected, shares.parallel, list(paces.values()), modes, config.backend.name, finished)
     runs = sum(len(job.seeds) for job in planned)
     if runs != len(planned):
         most = max(len(job.seeds) for job in planned)
@@ -62,6 +69,32 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
             "once (backend.stack)."
         )
     return 0
+
+
+def _as_finished_runs(progress: StudyProgress, cell: CellPlan) -> list[Expectation]:
+    """Return the expected cost of each job of a cell: the mean of its finished runs.
+
+    Empty if there are none that were trained on this machine, as many seeds at once.
+    """
+    host, stacks = Process.current().host, {len(job.seeds) for job in cell.jobs}
+    runs = [
+        run for run in progress.finished if run.record.session.host == host and {len(run.stack)} == stacks
+    ]
+    if not runs:
+        return []
+    summaries = [read_summary(run.directory) for run in runs]
+
+    def mean(name: str) -> float | None:
+        values = [float(value) for summary in summaries if (value := summary.get(name)) is not None]
+        return sum(values) / len(values) if values else None
+
+    seconds = sum(run.record.duration_s for run in runs) / len(runs)
+    cpu_s, kwh, kg = mean("cpu_seconds") or 0.0, mean("kwh"), mean("kg_co2")
+    rates = (None if each is None else each / max(cpu_s, 1e-9) for each in (kwh, kg))
+    of_seed = Expectation(seconds, cpu_s, *rates)
+    iterations = cell.experiment.config.iterations
+    left = [(len(job.seeds), 1 - job.iteration / iterations) for job in cell.jobs]
+    return [replace(of_seed, seconds=seconds * share, cpu_s=seeds * cpu_s * share) for seeds, share in left]
 
 
 def makespan(seconds: Sequence[float], parallel: int) -> float:
@@ -110,7 +143,12 @@ def _totals(expected: Sequence[Expectation]) -> tuple[float, float | None, float
 
 
 def _print_totals(
-    expected: Sequence[Expectation], parallel: int, paces: Sequence[Pace], modes: str, backend: str
+    expected: Sequence[Expectation],
+    parallel: int,
+    paces: Sequence[Pace],
+    modes: str,
+    backend: str,
+    finished: int,
 ) -> None:
     wall = makespan([each.seconds for each in expected], parallel)
     cpu_s, kwh, kg = _totals(expected)
@@ -120,6 +158,10 @@ def _print_totals(
         f"\n{counted(len(expected), 'job')}, {parallel} in parallel: about {duration(wall)}, "
         f"{cpu_s:,.0f} CPU s{energy}"
     )
+    if finished:
+        print(f"Estimated as the mean of finished runs on this machine: {counted(finished, 'cell')}.")
+    if not paces:
+        return
     fewest = min(pace.iterations for pace in paces)
     cells = "the cell" if len(paces) == 1 else f"each of {len(paces)} cells"
     print(

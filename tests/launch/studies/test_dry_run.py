@@ -1,5 +1,6 @@
 """A dry run lists the runs and estimates their cost."""
 
+import json
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,6 +10,8 @@ import pytest
 
 from headway.energy import Energy, EnergyMeter, JobUsage
 from headway.events import EvaluationFinished, IterationFinished, Started, Usage
+from headway.store.index import RunIndex
+from headway.store.run_folder import RunRecord, read_summary
 from headway.training.loop import TrainingJob
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
@@ -157,6 +160,30 @@ def test_the_estimate_explains_stacks_and_the_place_of_measurement(
     shown = capsys.readouterr().out
     assert "5 runs in 2 jobs: a job trains up to 3 seeds at once (backend.stack)" in shown
     assert "It was measured on this machine; on a cluster" in shown
+
+
+@pytest.mark.slow
+def test_a_cell_with_finished_runs_costs_their_mean_and_is_not_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["sweep", "env=trivial", "algo=ippo", "env_steps=2048", "energy=off", "backend=serial",
+             "backend.parallel=1", "evaluation.rules=[]", f"store.root={tmp_path}"]  # fmt: skip
+    assert run([*words, "seed=0,1"]) == 0
+    for row, (seconds, cpu, kwh) in zip(
+        RunIndex(tmp_path).rows(), ((10.0, 4.0, 0.1), (20.0, 6.0, 0.3)), strict=True
+    ):
+        folder = Path(row.directory)
+        replace(RunRecord.read(folder), duration_s=seconds).write(folder)
+        summary = read_summary(folder) | {"cpu_seconds": cpu, "kwh": kwh}
+        (folder / "summary.json").write_text(json.dumps(summary))
+    monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", None)
+    capsys.readouterr()
+    assert run([*words, "seed=0..4", "--dry-run"]) == 0
+    shown = capsys.readouterr().out
+    assert "ippo\t3\t15\t15\t0.6\n" in shown  # three new seeds of 15 s, 5 CPU s and 0.2 kWh
+    assert "3 jobs, 1 in parallel: about 0:00:45, 15 CPU s, 0.6 kWh" in shown
+    assert "Estimated as the mean of finished runs on this machine: 1 cell." in shown
+    assert "The estimate is from" not in shown
 
 
 def test_consecutive_seeds_are_a_range() -> None:
