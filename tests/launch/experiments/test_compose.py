@@ -417,7 +417,14 @@ def test_every_experiment_composes_and_has_a_summary(option: str) -> None:
 )
 def test_every_search_composes_on_seeds_that_no_study_reports(name: str) -> None:
     reported = {seed for option in options()["experiment"] for seed in _of_study(option).seed}
-    for experiment in read_search(name).points().values():
+    search = read_search(name)
+    (cell, *cells), (candidate, *candidates) = search.cells.values(), search.candidates.values()
+    for words in (
+        (*cell, *candidate),
+        *((*each, *candidate) for each in cells),
+        *((*cell, *each) for each in candidates),
+    ):
+        experiment = compose([*search.base, *words])
         assert reported.isdisjoint(experiment.config.seed)
         assert experiment.config.study.startswith("search_")
 

@@ -26,7 +26,7 @@ pytestmark = [
 
 @pytest.fixture
 def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Cluster"]:
-    """A cluster of a head without CPUs and three nodes with two CPUs each."""
+    """A cluster of a head without CPUs and two nodes with two CPUs each."""
     from ray.cluster_utils import Cluster
 
     settings = {"object_store_memory": 10**8, "include_log_monitor": False}
@@ -34,7 +34,7 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Cluster"]:
     before = ray_processes()
     whole = Cluster(initialize_head=True, head_node_args={**settings, **head})
     try:
-        for _ in range(3):
+        for _ in range(2):
             whole.add_node(num_cpus=2, **settings)
         yield whole
     finally:
@@ -42,15 +42,14 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Cluster"]:
     assert_gone(before)
 
 
-def test_two_nodes_lost_in_mid_iteration_do_not_change_the_data(nodes: "Cluster", tmp_path: Path) -> None:
-    """The second node lost is the one that took over the work. A node may be lost with both workers."""
-    lost = 2
+def test_a_node_lost_in_mid_iteration_does_not_change_the_data(nodes: "Cluster", tmp_path: Path) -> None:
+    """It may be lost with both workers."""
 
     def plan(times: int) -> RolloutPlan:
         return plan_of(FaultyVisitors, FaultConfig("kill parent", str(tmp_path), 30, copies=2, times=times))
 
     given, notices = {}, list[str]()
-    for name, times in (("process", 0), ("ray", lost)):
+    for name, times in (("process", 0), ("ray", 1)):
         backend = BackendConfig(name, address=nodes.address)
         collector = open_collector(backend, plan(times), 2, notices.append)
         try:
@@ -61,7 +60,7 @@ def test_two_nodes_lost_in_mid_iteration_do_not_change_the_data(nodes: "Cluster"
     assert_same(given["process"], given["ray"])
     # On a busy machine a worker may also report that it waits for free CPUs.
     replaced = [notice for notice in notices if "waits for free CPUs" not in notice]
-    assert lost <= len(replaced) <= 2 * lost
+    assert 1 <= len(replaced) <= 2
     for notice in replaced:
         assert "node" in notice
         assert notice.endswith("replaced, repeating its part from the last snapshot")

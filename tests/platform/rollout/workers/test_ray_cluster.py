@@ -1,13 +1,11 @@
 """Addresses of Ray clusters: one that cannot be used is refused in one line."""
 
-import importlib
 import os
 import socket
 import subprocess
 import sys
 import threading
 from importlib.util import find_spec
-from pathlib import Path
 
 import pytest
 from ray_processes import assert_gone, ray_processes
@@ -35,28 +33,6 @@ def test_an_address_without_a_cluster_is_refused_in_one_line(monkeypatch: pytest
     assert "no Ray cluster answers at backend.address=nowhere.invalid:1" in _refusal("nowhere.invalid:1")
     monkeypatch.setenv("RAY_ADDRESS", f"127.0.0.1:{port}")
     assert "no Ray cluster answers" in _refusal("auto")
-
-
-@pytest.mark.cluster
-@pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
-def test_workers_import_the_same_modules_as_this_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of two modules of one name, for instance in another checkout, they import the same one."""
-    for place in ("installed", "first"):
-        (tmp_path / place).mkdir()
-        (tmp_path / place / "crossroads.py").write_text(f"PLACE = {place!r}")
-        monkeypatch.syspath_prepend(tmp_path / place)
-    ray_cluster.connect("local")
-    try:
-        import ray
-
-        def place() -> str:
-            return str(importlib.import_module("crossroads").PLACE)
-
-        assert ray.get(ray.remote(num_cpus=0)(place).remote()) == "first"
-    finally:
-        ray_cluster.disconnect()
 
 
 @pytest.mark.cluster

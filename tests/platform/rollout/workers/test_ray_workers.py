@@ -45,15 +45,33 @@ needs_ray = pytest.mark.skipif(without_ray, reason='Ray is not installed: pip in
 
 
 @pytest.fixture(scope="module")
-def local() -> Iterator[str]:
-    """The address of a local cluster that this process is connected to."""
+def local(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a local cluster that this process, with two modules `crossroads`, is connected to."""
     if without_ray:
         pytest.skip("Ray is not installed")
     before = ray_processes()
-    address = ray_cluster.connect("local")
-    yield address
-    ray_cluster.disconnect()
+    with pytest.MonkeyPatch.context() as patch:
+        for place in ("installed", "first"):
+            folder = tmp_path_factory.mktemp(place)
+            (folder / "crossroads.py").write_text(f"PLACE = {place!r}")
+            patch.syspath_prepend(folder)
+        address = ray_cluster.connect("local")
+        yield address
+        ray_cluster.disconnect()
     assert_gone(before)
+
+
+@pytest.mark.cluster
+@needs_ray
+@pytest.mark.usefixtures("local")
+def test_workers_import_the_same_modules_as_this_process() -> None:
+    """Of two modules of one name, for instance in another checkout, they import the same one."""
+    import ray
+
+    def place() -> str:
+        return str(importlib.import_module("crossroads").PLACE)
+
+    assert ray.get(ray.remote(num_cpus=0)(place).remote()) == "first"
 
 
 def _collected(plan: RolloutPlan, name: str, notices: list[str] | None = None) -> list[Taken]:
