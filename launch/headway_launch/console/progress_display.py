@@ -1,7 +1,5 @@
 """Progress on stderr: a display updated in place on a terminal, occasional lines elsewhere."""
 
-import os
-import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -13,30 +11,26 @@ from headway_launch.console.output import print_line, silence
 from headway_launch.console.progress import ACTIVE, ENDED, JobProgress, Status, duration, overall, seeds_with
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
     from rich.live import Live
-    from rich.table import Table
 
 _MOST_JOB_LINES = 4
 """Maximum number of jobs that get one plain line each; more jobs get one line in total."""
 _PLAIN_EVERY_S, _PLAIN_AT_MOST_EVERY_S = 30.0, 600.0
 _PLAIN_SHARE = 0.1
 """Pause between plain lines as a share of the elapsed time, so that they become rarer."""
-_DRAWN_EVERY_S = 0.25
-_CLEAR_TO_END = "\x1b[K"
-"""Clears the rest of an earlier, longer line (ECMA-48)."""
 
 
-class Progress:
-    """Progress of a session's jobs: lines updated in place on a terminal, at most as many as it has rows.
+class _InPlace:
+    """Lines on stderr, updated in place on a terminal and cleared at the end."""
 
-    Elsewhere it prints a plain line per job that starts or ends, and occasional lines on the total progress.
-    """
-
-    def __init__(self, jobs: Sequence[JobProgress], parallel: int = 1) -> None:
-        self._jobs, self._parallel = jobs, parallel
+    def __init__(self) -> None:
         self._live: Live | None = None
-        self._statuses: list[Status] = ["waiting" for _ in jobs]
         self._began = self._printed = time.monotonic()
+
+    def _screen(self, width: int, height: int) -> "RenderableType":
+        """Return what a terminal of `width` columns and `height` rows shows."""
+        raise NotImplementedError
 
     def __enter__(self) -> Self:
         self._began = self._printed = time.monotonic()
@@ -46,8 +40,8 @@ class Progress:
 
             console = Console(stderr=True)
 
-            def renderable() -> "Table":
-                return self.screen(console.width, console.height)
+            def renderable() -> "RenderableType":
+                return self._screen(console.width, console.height)
 
             self._live = Live(
                 console=console, get_renderable=renderable, refresh_per_second=4, transient=True
@@ -75,6 +69,25 @@ class Progress:
         except OSError:
             silence(sys.stderr)
 
+    def _is_due(self) -> bool:
+        """Return whether to print a plain line, because the last is long ago and there is no terminal."""
+        now = time.monotonic()
+        due = self._live is None and now - self._printed >= _pause(now - self._began)
+        self._printed = now if due else self._printed
+        return due
+
+
+class Progress(_InPlace):
+    """Progress of a session's jobs: lines updated in place on a terminal, at most as many as it has rows.
+
+    Elsewhere it prints a plain line per job that starts or ends, and occasional lines on the total progress.
+    """
+
+    def __init__(self, jobs: Sequence[JobProgress], parallel: int = 1) -> None:
+        super().__init__()
+        self._jobs, self._parallel = jobs, parallel
+        self._statuses: list[Status] = ["waiting" for _ in jobs]
+
     def show(self) -> None:
         """Print new statuses, and progress from time to time; no effect on a terminal."""
         if self._live:
@@ -83,21 +96,16 @@ class Progress:
             if job.status != self._statuses[index] and job.status not in ("waiting", "starting"):
                 self._statuses[index] = job.status
                 self._print(job)
-        now = time.monotonic()
-        if now - self._printed < _pause(now - self._began):
+        if not self._is_due():
             return
-        self._printed = now
         training = [job for job in self._jobs if job.status == "training"]
         for job in training if len(training) <= _MOST_JOB_LINES else ():
             self._print(job)
         if len(self._jobs) > 1:
             self.note(overall(self._jobs, self._parallel))
 
-    def screen(self, width: int, height: int) -> "Table":
-        """Return the display for a terminal of `width` columns and `height` rows: total, cells, running jobs.
-
-        Lines that do not fit are replaced by their number.
-        """
+    def _screen(self, width: int, height: int) -> "RenderableType":
+        """Return total, cells and running jobs; lines that do not fit are replaced by their number."""
         from rich.table import Table
 
         rows = max(height - 1, 3)
@@ -127,53 +135,24 @@ class Progress:
         self.note("  ".join(cell for cell in job.cells() if cell))
 
 
-class CountedProgress:
-    """Progress of counted work of known or unknown length, as a context manager.
-
-    On a terminal it is one line on stderr, updated in place and cleared at the end; elsewhere, occasional
-    lines.
-    """
+class CountedProgress(_InPlace):
+    """Progress of counted work of known or unknown length: one line in place, elsewhere occasional lines."""
 
     def __init__(self, what: str, total: int | None = None) -> None:
         """`what`: the counted work, such as `days simulated`."""
+        super().__init__()
         self._what, self._total, self._done, self._remark = what, total, 0, ""
-        self._began = self._printed = time.monotonic()
-        self._on_terminal = sys.stderr.isatty()
-
-    def __enter__(self) -> Self:
-        self._began = self._printed = time.monotonic()
-        if self._on_terminal:
-            self._draw(self.line)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._on_terminal:
-            self._draw("")
 
     def add(self, count: int = 1, remark: str = "") -> None:
         """Count `count` more; `remark` names the current work if a single unit takes long."""
         self._done, self._remark = self._done + count, f" ({remark})" if remark else ""
-        now = time.monotonic()
-        if self._on_terminal:
-            if now - self._printed >= _DRAWN_EVERY_S or self._done == self._total:
-                self._printed = now
-                self._draw(self.line)
-        elif now - self._printed >= _pause(now - self._began):
-            self._printed = now
+        if self._is_due():
             print_line(self.line)
 
-    def note(self, line: str) -> None:
-        """Print a line that stays above the progress line."""
-        if self._on_terminal:
-            self._draw("")
-        print_line(line)
-        if self._on_terminal:
-            self._draw(self.line)
+    def _screen(self, width: int, height: int) -> "RenderableType":
+        from rich.text import Text
+
+        return Text(self.line, no_wrap=True, overflow="ellipsis")
 
     @property
     def line(self) -> str:
@@ -185,21 +164,6 @@ class CountedProgress:
             return f"{counted}{self._remark}"
         left = (time.monotonic() - self._began) / self._done * (self._total - self._done)
         return f"{counted}, about {duration(left)} left{self._remark}"
-
-    def _draw(self, line: str) -> None:
-        try:
-            # A wrapped line cannot be overwritten, and clearing after a full row deletes its last letter.
-            print(f"\r{line[: _width() - 1]}{_CLEAR_TO_END}", end="", file=sys.stderr, flush=True)
-        except OSError:
-            silence(sys.stderr)
-
-
-def _width() -> int:
-    """Return the columns of stderr's terminal or, if unknown, of the default terminal, or 80."""
-    columns = 0
-    with suppress(OSError, ValueError):
-        columns = os.get_terminal_size(sys.stderr.fileno()).columns
-    return columns or shutil.get_terminal_size().columns
 
 
 def _pause(passed: float) -> float:

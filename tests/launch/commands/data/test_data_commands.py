@@ -111,8 +111,8 @@ def test_a_written_scenario_is_the_built_in_one(
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     assert run(["data", "synthetic", str(out), "--size", "line", "--seed", "5"]) == 0
     shown, told = capsys.readouterr()
-    assert "\rlines with a timetable: 1 of 1\x1b[K" in told
-    assert "\rday types described: 2 of 2\x1b[K" in told
+    assert "lines with a timetable: 1 of 1" in told
+    assert "day types described: 2 of 2" in told
     assert "of 1" not in shown
     assert "1 line, 2 patterns" in shown
     assert f"env.args.scenario={out}" in shown
@@ -290,5 +290,5 @@ def test_realism_prints_simulated_beside_measured(
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     assert run(["data", "realism", str(out), "--days", "1", "--records", str(tmp_path)]) == 2
     told = capsys.readouterr().err
-    assert told.startswith("\rdays simulated: 0 of 1\x1b[K")
+    assert "days simulated: 0 of 1" in told
     assert "there is no file od-YYYY-MM-DD.parquet below" in told
