@@ -6,6 +6,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -37,9 +38,7 @@ class TrainingProcess:
         context = get_context("spawn")
         self._events, child_end = context.Pipe()
         name = f"headway training {', '.join(str(seed) for seed in job.seeds)}"
-        self._process = context.Process(
-            target=_run, args=(work or partial(train_and_report, job), child_end), name=name
-        )
+        self._process = context.Process(target=_run, args=(child_end,), name=name)
         resource_tracker.ensure_running()
         # Signals stay blocked until the child has left the terminal's process group.
         signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
@@ -49,6 +48,10 @@ class TrainingProcess:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
         child_end.close()
         self._at_end = False
+        # Not as an argument of the process: multiprocessing would wait for ever for a process that is killed
+        # before it has read more than a pipe holds.
+        with suppress(OSError):  # killed: `receive` finds the end of its pipe
+            self._events.send(work or partial(train_and_report, job))
 
     @property
     def connection(self) -> Connection:
@@ -108,7 +111,7 @@ class TrainingProcess:
         return f"its training process ended with exit code {code} and without a final event"
 
 
-def _run(work: Work, connection: Connection) -> None:
+def _run(connection: Connection) -> None:
     os.setpgid(0, 0)
     for number in _SIGNALS:
         # Not SIG_IGN: workers would inherit it and could not be terminated.
@@ -116,8 +119,9 @@ def _run(work: Work, connection: Connection) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     threading.Thread(target=_end_with_session, daemon=True).start()
     try:
-        work(connection.send, lambda: connection.poll())
-    except BrokenPipeError:
+        work: Work = connection.recv()
+        work(connection.send, connection.poll)
+    except (BrokenPipeError, EOFError):
         _end_group()
     connection.close()
     sys.stdout.flush()
