@@ -1,4 +1,3 @@
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -31,20 +30,6 @@ if __name__ == "__main__":
 """
 
 
-def test_memory_of_child_processes_counts() -> None:
-    before = sum(parts_mb(os.getpid()).values())
-    script = f"held = bytearray(b'x' * {HELD_MB * 2**20}); print('held', flush=True); input()"
-    child = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert child.stdout is not None
-    child.stdout.readline()
-    during = parts_mb(os.getpid())
-    child.communicate(b"\n")
-    assert before > 10
-    assert HELD_MB < sum(during.values()) - before < HELD_MB + 40
-    assert during["others"] > HELD_MB
-    assert sum(parts_mb(child.pid).values()) == 0
-
-
 def test_memory_is_attributed_to_the_parts_of_a_session(tmp_path: Path) -> None:
     script = tmp_path / "session.py"
     script.write_text(_SESSION.replace("{mb}", str(HELD_MB)))
@@ -53,6 +38,7 @@ def test_memory_is_attributed_to_the_parts_of_a_session(tmp_path: Path) -> None:
     session.stdout.readline()
     parts = parts_mb(session.pid)
     session.communicate(b"\n")
-    assert parts["workers"] > HELD_MB
+    assert HELD_MB < parts["workers"] < HELD_MB + 100
     for part in ("session", "learner", "fork server", "others"):
         assert 1 < parts[part] < HELD_MB, part
+    assert sum(parts_mb(session.pid).values()) == 0  # it has ended

@@ -9,13 +9,7 @@ from benchmarks.ray_workers import TASKS, Growth, TransferCost, _plan_of, growth
 FREE = TransferCost(bytes_per_step=0.0, parameter_bytes=0.0, message_s=0.0, byte_s=0.0)
 
 
-def test_throughput_is_proportional_to_workers_without_other_costs() -> None:
-    growth = Growth(steps=1000, blocks=16, worker_s=0.001, learn_s=0.0, transfer=FREE)
-    assert growth.per_second(1) == pytest.approx(1000)
-    assert growth.per_second(16) == pytest.approx(16_000)
-
-
-@pytest.mark.parametrize("workers", [1, 2, 3, 4, 5, 7, 8])
+@pytest.mark.parametrize("workers", [1, 2, 3, 5, 8])
 def test_the_projection_distributes_blocks_as_sessions_do(workers: int) -> None:
     """The slowest worker has most blocks: with 8 blocks and 5 workers, three have two."""
     task = TASKS["bus line, 32 copies"]

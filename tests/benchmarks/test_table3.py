@@ -1,6 +1,7 @@
 """Estimate of the cost of `bus_table3`."""
 
 import pytest
+from covering import quick_or_slow
 
 from benchmarks import table3
 from benchmarks.table3 import NINE, Cost, cost_of
@@ -23,7 +24,7 @@ def test_hours_are_summed_over_all_stacks() -> None:
     )
 
 
-@pytest.mark.parametrize("algorithm", NINE)
+@pytest.mark.parametrize("algorithm", quick_or_slow({name: (name,) for name in NINE}, "mappo", "hatrpo"))
 def test_the_study_has_the_published_settings(algorithm: str) -> None:
     experiment = compose(["experiment=bus_table3", f"algo={algorithm}"])
     config, algo = experiment.config, experiment.algo_config

@@ -1,4 +1,4 @@
-"""Fixtures: a browser page and a small study of trained runs."""
+"""Fixtures: a browser page, a small study of trained runs, an empty folder and commands."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
@@ -7,6 +7,7 @@ from typing import Any
 
 import chromium
 import pytest
+from command_lines import Refused, RowsOf
 from warm_training import WarmContext
 
 from headway.config.experiment import EnergyConfig
@@ -41,6 +42,40 @@ def _warm_training_processes() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("headway_launch.runner.training_process.get_context", lambda method: WarmContext())
         yield
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
+    """Check that a command is refused with exit code 2 and one line on stderr, and return that line."""
+
+    def line_of(*words: str) -> str:
+        capsys.readouterr()
+        assert run(words) == 2
+        line = capsys.readouterr().err
+        assert line.startswith("headway: ")
+        assert line.count("\n") == 1
+        return line
+
+    return line_of
+
+
+@pytest.fixture
+def rows_of(capsys: pytest.CaptureFixture[str]) -> RowsOf:
+    """Run a command and return the cells of the table that it prints, its header first."""
+
+    def rows(*words: str) -> list[list[str]]:
+        capsys.readouterr()
+        assert run(words) == 0
+        return [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+
+    return rows
+
+
+@pytest.fixture
+def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory of the test, with nothing in it."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture(scope="session")

@@ -21,36 +21,20 @@ ENV_STEPS = {"coma": 20_000}
 def test_defaults_close_half_of_the_gap_between_random_and_optimal_play(
     algorithm: str, tmp_path: Path
 ) -> None:
-    words = [f"env={'tracking' if algorithm == 'ddpg' else 'visitors'}", f"algo={algorithm}"]
-    options = [
-        f"env_steps={ENV_STEPS.get(algorithm, 10_000)}",
-        "seed=1",
-        "backend=serial",
-        "energy=off",
-        "evaluation.rules=[]",
-        f"store.root={tmp_path}",
-    ]
-    assert run(["run", *words, *options]) == 0
+    words = [
+        f"env={'tracking' if algorithm == 'ddpg' else 'visitors'}", f"algo={algorithm}", "seed=1",
+        f"env_steps={ENV_STEPS.get(algorithm, 10_000)}", "backend=serial", "energy=off",
+        "evaluation.rules=[]", f"store.root={tmp_path}",
+    ]  # fmt: skip
+    assert run(["run", *words]) == 0
     (row,) = RunIndex(tmp_path).rows()
-    experiment = compose([*words, *options])
-    evaluation = experiment.config.evaluation
-    prepared = experiment.prepare().prepared
-    random, optimal = (
-        float(
-            np.mean(
-                [
-                    row["return"]
-                    for row in evaluate_rule(
-                        experiment.env.make,
-                        experiment.env.rules[rule].make,
-                        prepared,
-                        evaluation.seed,
-                        evaluation.last_episodes,
-                    )
-                ]
-            )
-        )
-        for rule in ("random", "optimal")
-    )
+    experiment = compose(words)
+    prepared, evaluation = experiment.prepare().prepared, experiment.config.evaluation
+
+    def mean_return(rule: str) -> float:
+        make = experiment.env.rules[rule].make
+        played = evaluate_rule(experiment.env.make, make, prepared, evaluation.seed, evaluation.last_episodes)
+        return float(np.mean([each["return"] for each in played]))
+
     assert row.final_reward is not None
-    assert row.final_reward > (random + optimal) / 2
+    assert row.final_reward > (mean_return("random") + mean_return("optimal")) / 2

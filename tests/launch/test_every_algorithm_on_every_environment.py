@@ -62,6 +62,11 @@ class Task:
     """Kind of the action space."""
 
 
+RECURRENT = {"model": {"hidden": [8], "core": "gru", "gru_size": 4, "sequence_length": 5}}
+REPLAYING = [name for name in algo_entries() if not hasattr(algo_entry(name).config().model, "core")]
+"""Algorithms that replay single transitions, without recurrent networks."""
+WITH_CORES = [name for name in algo_entries() if name not in (*REPLAYING, "maacktr")]
+CORES: Mapping[str, Mapping[str, Any]] = {"none": {}, "gru": RECURRENT}
 SPREAD = {"N": 2, "max_cycles": 8}
 TASKS = {
     **{name: Task(name) for name in env_entries()},
@@ -116,8 +121,9 @@ def refused(algorithm: str, policies: str, task: str) -> bool:
     )
 
 
-def trainable(task: str, algorithm: str, policies: str) -> bool:
-    return not refused(algorithm, policies, task)
+def trainable(task: str, algorithm: str, policies: str, core: str) -> bool:
+    recurrent = task in ("visitors", "tracking", "dials") and algorithm in WITH_CORES and policies != "groups"
+    return not refused(algorithm, policies, task) and (core == "none" or recurrent)
 
 
 def policy_of_agents(policies: str, spec: EnvSpec) -> NDArray[np.int64]:
@@ -192,8 +198,10 @@ def test_what_cannot_train_says_why_not(task: str) -> None:
     """Every algorithm with each way to share policies."""
     spec = prepared(task).spec
     assert (type(spec.action_space), len(set(spec.groups))) == (TASKS[task].space, TASKS[task].groups)
-    for algorithm, policies in product(algo_entries(), POLICIES):
-        reason = algo_entry(algorithm).refuses(configured(algorithm, policies), spec)
+    for algorithm, policies, core in product(algo_entries(), POLICIES, CORES):
+        if core == "gru" and algorithm not in WITH_CORES:
+            continue
+        reason = algo_entry(algorithm).refuses(configured(algorithm, policies, **CORES[core]), spec)
         assert (reason is not None) == refused(algorithm, policies, task), reason
         if reason is not None:
             assert "\n" not in reason
@@ -201,10 +209,12 @@ def test_what_cannot_train_says_why_not(task: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("task", "algorithm", "policies"), pairwise(TASKS, algo_entries(), POLICIES, where=trainable)
+    ("task", "algorithm", "policies", "core"),
+    pairwise(TASKS, algo_entries(), POLICIES, CORES, where=trainable),
 )
-def test_what_is_not_refused_trains(task: str, algorithm: str, policies: str) -> None:
-    assert_trains(task, algo_entry(algorithm), configured(algorithm, policies), policies)
+def test_what_is_not_refused_trains(task: str, algorithm: str, policies: str, core: str) -> None:
+    config = configured(algorithm, policies, **CORES[core])
+    assert_trains(task, algo_entry(algorithm), config, policies)
 
 
 def assert_trains(task: str, entry: AlgoEntry, config: object, policies: str) -> None:
@@ -221,30 +231,6 @@ def assert_trains(task: str, entry: AlgoEntry, config: object, policies: str) ->
         assert moved.any(axis=1).all()
     else:
         assert moved[:, own][result.acted].all()
-
-
-RECURRENT = {"model": {"hidden": [8], "core": "gru", "gru_size": 4, "sequence_length": 5}}
-REPLAYING = [name for name in algo_entries() if not hasattr(algo_entry(name).config().model, "core")]
-"""Algorithms that replay single transitions, without recurrent networks."""
-WITH_CORES = [name for name in algo_entries() if name not in (*REPLAYING, "maacktr")]
-
-
-@pytest.mark.parametrize(
-    ("task", "algorithm", "policies"),
-    pairwise(["visitors", "tracking", "dials"], WITH_CORES, ["independent", "shared"], where=trainable),
-)
-def test_what_is_not_refused_trains_with_a_gru(task: str, algorithm: str, policies: str) -> None:
-    entry, config = algo_entry(algorithm), configured(algorithm, policies, **RECURRENT)
-    assert entry.refuses(config, prepared(task).spec) is None
-    assert_trains(task, entry, config, policies)
-
-
-@pytest.mark.parametrize("task", ["visitors", "tracking", "dials"])
-def test_the_same_combinations_are_refused_with_a_gru(task: str) -> None:
-    for algorithm, policies in product(WITH_CORES, ["independent", "shared"]):
-        config = configured(algorithm, policies, **RECURRENT)
-        reason = algo_entry(algorithm).refuses(config, prepared(task).spec)
-        assert (reason is not None) == refused(algorithm, policies, task)
 
 
 def test_kfac_is_refused_for_recurrent_networks() -> None:

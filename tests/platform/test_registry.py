@@ -12,9 +12,7 @@ from headway.contracts import EnvEntry, RuleEntry
 from headway_envs.toy.entry import ENTRIES as TOYS
 
 TOY = TOYS["matrix"]
-ENTRIES = {
-    "mine": EnvEntry("a game", TOY.config, TOY.make, rules={"first": RULE}),
-}
+ENTRIES = {"mine": EnvEntry("a game", TOY.config, TOY.make, rules={"first": RULE})}
 """
 
 
@@ -25,9 +23,7 @@ def _not_kept() -> Iterator[None]:
     env_entries.cache_clear()
 
 
-def test_an_environment_of_another_package_has_the_rule_random_beside_its_own(
-    install: Callable[[str, str, str], None],
-) -> None:
+def test_another_package_s_environment_has_the_rule_random(install: Callable[[str, str, str], None]) -> None:
     entry = 'RuleEntry("plays first", TOY.rules["random"].make)'
     install("package_of_games", PACKAGE.replace("RULE})", f"{entry}}})"), "headway.envs")
     assert list(env_entries()["mine"].rules) == ["random", "first"]

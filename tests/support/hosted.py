@@ -8,13 +8,11 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from headway_envs.intersection.config import IntersectionConfig
-from headway_envs.intersection.parallel import IntersectionParallelEnv, IntersectionSlotsParallelEnv
-
-FACES = {"vehicles": IntersectionParallelEnv, "slots": IntersectionSlotsParallelEnv}
+from headway_envs.intersection.parallel import IntersectionSlotsParallelEnv
 
 
-def _host(face: str, config: IntersectionConfig, pipe: Connection) -> None:
-    env = FACES[face](config)
+def _host(config: IntersectionConfig, pipe: Connection) -> None:
+    env = IntersectionSlotsParallelEnv(config)
     while (call := pipe.recv()) is not None:
         name, arguments = call
         pipe.send((getattr(env, name)(**arguments), list(env.agents)))
@@ -24,13 +22,13 @@ def _host(face: str, config: IntersectionConfig, pipe: Connection) -> None:
 class HostedEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes without types
     """A ParallelEnv whose simulation runs in another process, with its spaces in this one."""
 
-    def __init__(self, face: str, config: IntersectionConfig) -> None:
-        self._spaces = FACES[face](config)
+    def __init__(self, config: IntersectionConfig) -> None:
+        self._spaces = IntersectionSlotsParallelEnv(config)
         self.metadata = self._spaces.metadata
         self.possible_agents, self.agents = self._spaces.possible_agents, []
         context = multiprocessing.get_context("forkserver")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_host, args=(face, config, theirs), daemon=True)
+        self._process = context.Process(target=_host, args=(config, theirs), daemon=True)
         self._process.start()
 
     def observation_space(self, agent: str) -> spaces.Box:

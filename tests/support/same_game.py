@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.adapters.conformance import play
-from headway.adapters.parallel_entry import AdapterOptions
-from headway.adapters.pettingzoo import episode_seed
+from headway.adapters.pettingzoo import AdapterOptions, ParallelEnvBatch, episode_seed
 from headway.adapters.recording import Recording
 from headway.contracts import BatchedEnv, EnvEntry
 from headway.wrappers.listed import listed_wrappers
@@ -42,7 +41,9 @@ def through_supersuit(wrapped: Wrapped, entry: EnvEntry, wrappers: Sequence[Any]
         metrics=spec.metrics,
     )
     make = WrappedParallelEnv(entry.parallel_env, wrapped.prepared, listed)
-    return play(lambda copies: options.adapt(make, copies, wrapped.name), copies=1, first_seed=SEED)
+    return play(
+        lambda copies: ParallelEnvBatch(make, copies, wrapped.name, options), copies=1, first_seed=SEED
+    )
 
 
 def assert_same_game(env: BatchedEnv, through: Recording) -> None:

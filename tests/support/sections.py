@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from headway_launch.report.parts import Section, Table
+from headway_launch.report.elements import Section, Table
 from headway_launch.report.study_data import StudyData
 
 

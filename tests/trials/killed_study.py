@@ -20,7 +20,8 @@ from pathlib import Path
 
 import psutil
 
-from headway.store import RunIndex, sync_each
+from headway.store.index import RunIndex
+from headway.store.tracking.sync import sync_each
 from tests.trials.same_study import differences
 
 STUDY = "killed"

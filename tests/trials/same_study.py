@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from headway.store import RunIndex, RunRow
+from headway.store.index import RunIndex, RunRow
 from headway.store.parquet_log import TABLES, read_rows
 from headway.store.run_folder import read_summary
 

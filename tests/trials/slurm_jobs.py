@@ -28,7 +28,8 @@ import psutil
 
 from headway.contracts import HeadwayError
 from headway.rollout.workers.ray_cluster import require_ray
-from headway.store import RunIndex, sync_each
+from headway.store.index import RunIndex
+from headway.store.tracking.sync import sync_each
 from tests.trials.hosts import Host, two_hosts
 from tests.trials.same_study import differences
 from tests.trials.two_nodes import SMALL, end_by_signal, headway, train_here, until

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from headway.store import RunIndex
+from headway.store.index import RunIndex
 from tests.trials import killed_study
 from tests.trials.killed_study import BASE, Kill, trial
 from tests.trials.same_study import differences

@@ -29,9 +29,10 @@ import psutil
 
 from headway.contracts import HeadwayError
 from headway.rollout.workers.ray_cluster import require_ray
-from headway.store import CHECKPOINTS, RunIndex, sync_each
 from headway.store.checkpoint import latest_iteration
-from headway.store.run_folder import RunRecord
+from headway.store.index import RunIndex
+from headway.store.run_folder import CHECKPOINTS, RunRecord
+from headway.store.tracking.sync import sync_each
 from tests.trials.hosts import Host, two_hosts
 from tests.trials.same_study import differences
 

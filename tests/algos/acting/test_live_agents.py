@@ -7,8 +7,8 @@ import pytest
 from covering import pairwise
 from numpy.typing import NDArray
 
-from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations
-from headway_algos.acting.exploration import EpsilonGreedyPolicy, ExploringNetworks, OrnsteinUhlenbeckPolicy
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, MultiDiscrete, Observations
+from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
 from headway_algos.acting.gru import GRUActingPolicy
 from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.config import ModelConfig
@@ -20,25 +20,29 @@ Precision = Literal["float32", "float64"]
 Policies = Literal["independent", "shared"]
 Policy = MLPActingPolicy | GRUActingPolicy | EpsilonGreedyPolicy | OrnsteinUhlenbeckPolicy
 Result = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]
-KINDS = ("discrete", "box", "gated discrete", "gated box", "epsilon-greedy", "ornstein-uhlenbeck")
+KINDS = ("discrete", "several", "box", "gated discrete", "gated box", "epsilon-greedy", "ornstein-uhlenbeck")
 
 
 def _spec(space: ActionSpace) -> EnvSpec:
     names = tuple(f"slot_{i}" for i in range(SLOTS))
-    masked = isinstance(space, Discrete)
+    masked = not isinstance(space, Box)
     return EnvSpec("made", names, SIZE, space, has_action_mask=masked, agents_come_and_go=True)
 
 
 def _policy(kind: str, precision: Precision, policies: Policies = "shared") -> Policy:
-    space = Discrete(4) if kind.endswith(("discrete", "greedy")) else Box((-1.0, -2.0), (1.0, 2.0))
+    space: ActionSpace = Box((-1.0, -2.0), (1.0, 2.0))
+    if kind.endswith(("discrete", "greedy")):
+        space = Discrete(4)
+    elif kind == "several":
+        space = MultiDiscrete((2, 2))
     config = configure("custom", policies=policies, model=MODEL, precision=precision)
     flat = MLPActingPolicy.of(config, _spec(space))
     if kind.startswith("gated"):
         return GRUActingPolicy(flat, 6)
     if kind == "epsilon-greedy":
-        return EpsilonGreedyPolicy(ExploringNetworks(flat))
+        return EpsilonGreedyPolicy(flat)
     if kind == "ornstein-uhlenbeck":
-        return OrnsteinUhlenbeckPolicy(ExploringNetworks(flat), 0.2, 0.3)
+        return OrnsteinUhlenbeckPolicy(flat, 0.2, 0.3)
     return flat
 
 
@@ -60,9 +64,9 @@ def _observations(
     observations[~alive] = np.nan
     stack = policy.networks if isinstance(policy, EpsilonGreedyPolicy | OrnsteinUhlenbeckPolicy) else policy
     flat = stack if isinstance(stack, MLPActingPolicy) else stack.perceptron
-    if isinstance(flat.spec.action_space, Discrete):
-        masks = draw.random((copies, SLOTS, 4)) < 0.6
-        masks[..., 2] |= ~masks.any(axis=-1)
+    if flat.spec.has_action_mask:
+        masks = draw.random((copies, SLOTS, 4)) < 0.4
+        masks[..., [0, 2]] = True  # one option of every choice
         masks[~alive] = False
     noise = np.stack([policy.noise(draw, 1)[0] for _ in range(copies)])
     if isinstance(policy, GRUActingPolicy | OrnsteinUhlenbeckPolicy):
@@ -105,7 +109,7 @@ def test_an_agent_acts_as_if_alone_in_its_copy(
     policy, alive = _policy(kind, precision, policies), _alive(COPIES, count)
     parameters = _parameters(policy, 1)
     observed, drawn, hidden = _observations(policy, alive)
-    before = None if hidden is None else hidden.copy()
+    before, seen = None if hidden is None else hidden.copy(), observed.observations.copy()
     noise = None if greedy else drawn
     together = _act(policy, parameters, observed, hidden, noise)
     for copy, agent in np.argwhere(alive)[::5]:
@@ -122,6 +126,8 @@ def test_an_agent_acts_as_if_alone_in_its_copy(
             if mine is not None and all_of_them is not None:
                 np.testing.assert_array_equal(mine[0, agent], all_of_them[copy, agent])
     assert all(np.isfinite(part).all() for part in together if part is not None)
+    assert together[0].dtype != np.int64 or ((together[0] >= 0) & (together[0] < 4)).all()
+    np.testing.assert_array_equal(observed.observations, seen)
     if hidden is not None:
         assert together[2] is not None
         np.testing.assert_array_equal(hidden, before)

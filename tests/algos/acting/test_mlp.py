@@ -25,12 +25,11 @@ SPACES: dict[str, ActionSpace] = {
 }
 
 
-def _spec(space: ActionSpace, come_and_go: bool = False) -> EnvSpec:
+def _spec(space: ActionSpace) -> EnvSpec:
     return EnvSpec(
         "made", tuple(f"a{i}" for i in range(AGENTS)), SIZE, space,
         groups=("x", "y", "x", "z", "x"),
         has_action_mask=not isinstance(space, Box),
-        agents_come_and_go=come_and_go,
     )  # fmt: skip
 
 
@@ -97,15 +96,30 @@ def _torch_log_probs(
 
 
 @pytest.mark.parametrize(
-    ("space", "policies", "precision", "replicas"),
-    list(product(SPACES, ["independent", "shared", "groups"], ["float32", "float64"], [1, 3])),
+    ("space", "policies", "precision", "replicas", "activation", "normalise"),
+    pairwise(
+        SPACES,
+        ["independent", "shared", "groups"],
+        ["float32", "float64"],
+        [1, 3],
+        ["tanh", "relu"],
+        [True, False],
+    ),
 )
 def test_log_probabilities_equal_torch(
-    space: str, policies: Policies, precision: Precision, replicas: int
+    space: str,
+    policies: Policies,
+    precision: Precision,
+    replicas: int,
+    activation: Literal["tanh", "relu"],
+    normalise: bool,
 ) -> None:
+    """Without normalisation also for observations that a normaliser would clip."""
     spec = _spec(SPACES[space])
-    learner, acting = _learner(spec, policies, precision, tuple(range(replicas)))
+    learner, acting = _learner(spec, policies, precision, tuple(range(replicas)), activation, normalise)
     observed = _observed(spec, replicas * COPIES)
+    if not normalise:
+        observed.observations[...] *= 30
     random = np.random.default_rng(1)
     noise = np.stack([acting.noise(random, 1)[0] for _ in range(replicas * COPIES)])
     for draws in (noise, None):
@@ -114,36 +128,6 @@ def test_log_probabilities_equal_torch(
         tolerance = 1e-5 if precision == "float32" else 1e-12
         np.testing.assert_allclose(log_probs, expected, rtol=tolerance, atol=tolerance)
         assert log_probs.dtype == np.float64
-
-
-@pytest.mark.parametrize("activation", ["tanh", "relu"])
-def test_log_probabilities_equal_torch_for_every_activation(activation: Literal["tanh", "relu"]) -> None:
-    spec = _spec(SPACES["discrete"])
-    learner, acting = _learner(spec, "groups", "float64", (0, 1), activation)
-    observed = _observed(spec, 2 * COPIES)
-    actions, log_probs = acting.act(learner.acting_parameters(), observed, None)
-    np.testing.assert_allclose(
-        log_probs, _torch_log_probs(learner, observed, actions), rtol=1e-12, atol=1e-12
-    )
-
-
-def test_log_probabilities_equal_torch_without_normalisation() -> None:
-    """Also for observations that a normaliser would clip."""
-    spec = _spec(SPACES["discrete"])
-    learner, acting = _learner(spec, "independent", "float64", (0,), normalise=False)
-    observed = _observed(spec, COPIES)
-    observed.observations[...] *= 30
-    actions, log_probs = acting.act(learner.acting_parameters(), observed, None)
-    np.testing.assert_allclose(
-        log_probs, _torch_log_probs(learner, observed, actions), rtol=1e-12, atol=1e-12
-    )
-
-
-def test_acting_parameters_have_the_declared_shapes() -> None:
-    for space, policies in product(SPACES.values(), ("independent", "shared", "groups")):
-        learner, acting = _learner(_spec(space), policies, "float32", (0, 1))  # type: ignore[arg-type]  # a literal
-        shapes = {name: (a.shape, a.dtype) for name, a in learner.acting_parameters().items()}
-        assert shapes == acting.parameter_shapes(2)
 
 
 def test_each_group_follows_its_own_policy() -> None:
@@ -160,47 +144,34 @@ def test_each_group_follows_its_own_policy() -> None:
     assert not np.isin(actions[0], actions[1]).any()
 
 
-def test_frequencies_of_sampled_actions_are_the_probabilities() -> None:
-    spec, draws = _spec(SPACES["discrete"]), 40_000
-    learner, acting = _learner(spec, "shared", "float64", (0,))
-    one = _observed(spec, 1)
-    assert one.action_masks is not None
+def _sampled(
+    learner: OnPolicyLearner, acting: MLPActingPolicy, one: Observations, draws: int
+) -> NDArray[Any]:
+    """Actions drawn for the same observations of one copy, (draws, N, ...)."""
     many = Observations(
         np.repeat(one.observations, draws, axis=0),
         np.zeros((draws, 0), np.float32),
         np.ones((draws, AGENTS), np.bool_),
-        np.repeat(one.action_masks, draws, axis=0),
+        None if one.action_masks is None else np.repeat(one.action_masks, draws, axis=0),
     )
-    actions, _ = acting.act(learner.acting_parameters(), many, acting.noise(generator(0, "action"), draws))
-    for agent, action in product(range(AGENTS), range(4)):
-        asked = np.full((1, AGENTS), action)
-        p = float(np.exp(_torch_log_probs(learner, one, asked)[0, agent]))
-        frequency = float((actions[:, agent] == action).mean())
-        if one.action_masks[0, agent, action]:
-            assert abs(frequency - p) < 5 * np.sqrt(p * (1 - p) / draws) + 1e-9
-        else:
-            assert frequency == 0
+    noise = acting.noise(generator(0, "action"), draws)
+    return acting.act(learner.acting_parameters(), many, noise)[0]
 
 
-def test_frequencies_of_several_choices_are_the_joint_probabilities() -> None:
-    """Choices are drawn independently, each among its allowed options."""
-    spec, draws = _spec(SPACES["several"]), 40_000
+@pytest.mark.parametrize(("space", "choices"), [("discrete", (4,)), ("several", (2, 3, 1))])
+def test_frequencies_of_sampled_actions_are_the_probabilities(space: str, choices: tuple[int, ...]) -> None:
+    """Of several choices the joint ones: each is drawn independently, among its allowed options."""
+    spec, draws = _spec(SPACES[space]), 40_000
     learner, acting = _learner(spec, "shared", "float64", (0,))
     one = _observed(spec, 1)
     assert one.action_masks is not None
-    many = Observations(
-        np.repeat(one.observations, draws, axis=0),
-        np.zeros((draws, 0), np.float32),
-        np.ones((draws, AGENTS), np.bool_),
-        np.repeat(one.action_masks, draws, axis=0),
-    )
-    actions, _ = acting.act(learner.acting_parameters(), many, acting.noise(generator(0, "action"), draws))
-    assert actions.shape == (draws, AGENTS, 3)
-    for agent, (i, j) in product(range(AGENTS), product(range(2), range(3))):
-        asked = np.broadcast_to(np.array([i, j, 0]), (1, AGENTS, 3)).copy()
+    actions = _sampled(learner, acting, one, draws)
+    first = np.cumsum([0, *choices[:-1]])  # each choice's first option among all
+    for agent, options in product(range(AGENTS), np.ndindex(*choices)):
+        asked = np.tile(options, (1, AGENTS, 1)).reshape(1, *actions.shape[1:])
         p = float(np.exp(_torch_log_probs(learner, one, asked)[0, agent]))
-        frequency = float((actions[:, agent, :2] == (i, j)).all(axis=-1).mean())
-        if one.action_masks[0, agent, i] and one.action_masks[0, agent, 2 + j]:
+        frequency = float((actions.reshape(draws, AGENTS, -1)[:, agent] == options).all(axis=-1).mean())
+        if one.action_masks[0, agent, first + options].all():
             assert abs(frequency - p) < 5 * np.sqrt(p * (1 - p) / draws) + 1e-9
         else:
             assert frequency == 0
@@ -223,14 +194,8 @@ def test_gaussian_actions_have_the_mean_and_deviation_of_the_policy() -> None:
     spec, draws = _spec(SPACES["box"]), 40_000
     learner, acting = _learner(spec, "independent", "float64", (0,))
     one = _observed(spec, 1)
-    many = Observations(
-        np.repeat(one.observations, draws, axis=0),
-        np.zeros((draws, 0), np.float32),
-        np.ones((draws, AGENTS), np.bool_),
-    )
-    parameters = learner.acting_parameters()
-    actions, _ = acting.act(parameters, many, acting.noise(generator(0, "action"), draws))
-    mean, _ = acting.act(parameters, one, None)
+    actions = _sampled(learner, acting, one, draws)
+    mean, _ = acting.act(learner.acting_parameters(), one, None)
     std = np.exp(-0.5)
     np.testing.assert_allclose(actions.mean(axis=0), mean[0], atol=5 * std / np.sqrt(draws))
     np.testing.assert_allclose(actions.std(axis=0), std, rtol=5 / np.sqrt(2 * draws))
@@ -243,32 +208,6 @@ def test_greedy_actions_are_the_mode() -> None:
     greedy, _ = acting.act(learner.acting_parameters(), observed, None)
     every = [_torch_log_probs(learner, observed, np.full((COPIES, AGENTS), a)) for a in range(4)]
     np.testing.assert_array_equal(greedy, np.argmax(every, axis=0))
-
-
-@pytest.mark.parametrize(
-    ("space", "policies", "copies"), pairwise(SPACES, ["independent", "shared", "groups"], [1, COPIES])
-)
-def test_rows_of_absent_agents_affect_no_other_and_stay_unchanged(
-    space: str, policies: Policies, copies: int
-) -> None:
-    spec = _spec(SPACES[space], come_and_go=True)
-    learner, acting = _learner(spec, policies, "float32", (0,))
-    observed = _observed(spec, copies)
-    noise = np.stack([acting.noise(np.random.default_rng(c), 1)[0] for c in range(copies)])
-    expected = acting.act(learner.acting_parameters(), observed, noise)
-    observed.alive[:, 1] = observed.alive[0, 4] = False
-    observed.observations[~observed.alive] = np.nan
-    if observed.action_masks is not None:
-        observed.action_masks[~observed.alive] = False
-    before = observed.observations.copy()
-    actions, log_probs = acting.act(learner.acting_parameters(), observed, noise)
-    np.testing.assert_array_equal(observed.observations, before)
-    np.testing.assert_array_equal(actions[observed.alive], expected[0][observed.alive])
-    np.testing.assert_array_equal(log_probs[observed.alive], expected[1][observed.alive])
-    assert np.isfinite(actions).all()
-    assert np.isfinite(log_probs).all()
-    if isinstance(spec.action_space, Discrete):
-        assert ((actions >= 0) & (actions < spec.action_space.n)).all()
 
 
 def test_a_single_agents_observations_are_not_modified() -> None:

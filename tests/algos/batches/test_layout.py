@@ -1,6 +1,6 @@
 """Rows by policy, minibatches and truncations."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from torch import Tensor
 from headway.contracts import Discrete, EnvSpec, Trajectory, TrajectoryLayout, generator
 from headway_algos.batches import minibatches as minibatches_module
 from headway_algos.batches.layout import Layout, zero_where_absent
-from headway_algos.batches.minibatches import Piece, minibatches
+from headway_algos.batches.minibatches import minibatches
 from headway_algos.batches.stream_ends import Truncations
 from headway_algos.grouping import Grouping
 
@@ -130,37 +130,6 @@ def test_padding_repeats_a_networks_own_selected_rows() -> None:
             assert selected[1, index[1]].all()
 
 
-def test_pieces_add_up_to_the_whole_minibatchs_gradient() -> None:
-    selected = np.random.default_rng(2).random((3, 40)) < 0.6
-    rows = torch.from_numpy(np.random.default_rng(3).normal(size=(3, 40, 2)))
-    gradients = []
-    for piece_rows in (1000, 7, 1):
-        generators = [generator(p, "test") for p in range(3)]
-        weight = torch.full((3, 2), 0.3, dtype=torch.float64, requires_grad=True)
-        for pieces, _ in minibatches(selected, generators, 1, 3, 3 * piece_rows, _layout("shared")):
-            losses = [
-                ((piece.of(rows) * weight[:, None]).sum(2).tanh() * piece.weight).sum() for piece in pieces
-            ]
-            (gradient,) = torch.autograd.grad(torch.stack(losses).sum(), weight)
-            gradients.append(gradient)
-    for whole, cut, single in zip(gradients[:3], gradients[3:6], gradients[6:], strict=True):
-        torch.testing.assert_close(cut, whole, rtol=1e-12, atol=1e-12)
-        torch.testing.assert_close(single, whole, rtol=1e-12, atol=1e-12)
-
-
-def test_a_networks_minibatches_do_not_depend_on_its_stack() -> None:
-    selected = np.random.default_rng(4).random((3, 40)) < [[0.2], [0.9], [0.6]]
-
-    def shuffled(networks: list[int]) -> Iterator[tuple[list[Piece], NDArray[np.bool_]]]:
-        generators = [generator(p, "test") for p in networks]
-        return minibatches(selected[networks], generators, 2, 3, 1000, _layout("shared"))
-
-    for p in range(3):
-        for ((alone,), _), ((stacked,), _) in zip(shuffled([p]), shuffled([0, 1, 2]), strict=True):
-            of_p = stacked.index[p][stacked.weight[p] > 0] - p * 40
-            assert torch.equal(of_p, alone.index[alone.weight > 0])
-
-
 def test_truncations_are_found_and_inserted_back(fabricate: Callable[..., Trajectory]) -> None:
     made = fabricate(SPEC, 10, REPLICAS * COPIES, seed=5, ends=0.2, leaves=0.05)
     made.truncated[:, :COPIES] = False  # replicas differ in how many there are
@@ -182,19 +151,9 @@ def test_no_truncations() -> None:
     assert (truncations.put(np.zeros((0, REPLICAS, 6)), made.rewards.shape) == 0).all()
 
 
-def test_absent_rows_become_zero_in_a_copy() -> None:
-    values = np.full((2, 3, 4), np.nan, np.float32)
-    present = np.zeros((2, 3), np.bool_)
-    present[1, 2] = True
-    values[1, 2] = 5
-    cleaned = zero_where_absent(values, present)
-    assert (cleaned[1, 2] == 5).all()
-    assert (cleaned[~present] == 0).all()
-    assert np.isnan(values[~present]).all()
-
-
-@pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
-@pytest.mark.parametrize("agents", [1, 6])
+@pytest.mark.parametrize(
+    ("policies", "agents"), [("independent", 6), ("shared", 1), ("shared", 6), ("groups", 6)]
+)
 def test_absent_rows_become_zero_and_the_source_is_unchanged(policies: str, agents: int) -> None:
     spec = replace(SPEC, agents=SPEC.agents[:agents], groups=SPEC.groups[:agents])
     layout = Layout(Grouping.of(policies, spec), 1, torch.device("cpu"), torch.float32)
@@ -203,8 +162,9 @@ def test_absent_rows_become_zero_and_the_source_is_unchanged(policies: str, agen
     present = random.random((5, 1, agents)) < 0.5
     values[~present] = np.nan
     before = values.copy()
-    rows = layout.rows(values, present)
-    assert torch.equal(rows, layout.rows(zero_where_absent(values, present)))
+    cleaned = zero_where_absent(values, present)
+    np.testing.assert_array_equal(cleaned, np.where(present[..., None], values, 0))
+    assert torch.equal(layout.rows(values, present), layout.rows(cleaned))
     assert np.array_equal(values, before, equal_nan=True)
 
 

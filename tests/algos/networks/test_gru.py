@@ -2,16 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from covering import pairwise, quick_or_slow
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
+from headway.contracts import Discrete, EnvSpec, HeadwayError, Trajectory
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
 from headway_algos.batches.hidden_states import HiddenStates
@@ -30,7 +29,6 @@ from headway_algos.registry import ENTRIES, configure
 from headway_envs.toy.visitors import Visitors, VisitorsConfig
 
 Fabricate = Callable[..., Trajectory]
-Poison = Callable[[Trajectory], Trajectory]
 UNITS, LENGTH = 5, 3
 GRU = ModelConfig(hidden=(6,), core="gru", gru_size=UNITS, sequence_length=LENGTH, actor_gain=1.0)
 SETTINGS: dict[str, Any] = {
@@ -40,28 +38,10 @@ SETTINGS: dict[str, Any] = {
 DISCRETE = EnvSpec(
     "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
 )
-TEAM = replace(DISCRETE, state_size=5, shared_reward=True)
-BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
 
 
 def named(name: str, **settings: Any) -> Any:  # noqa: ANN401 - any record
     return configure(name, **{**SETTINGS, **settings})
-
-
-CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
-    "ippo": (named("ippo", kl_coeff=0.2), DISCRETE),
-    "ippo groups box": (named("ippo", policies="groups"), BOX),
-    "mappo team": (named("mappo", policies="shared"), TEAM),
-    "mappo others": (named("mappo", critic_actions="others"), TEAM),
-    "coma": (named("coma", target_every=2), DISCRETE),
-    "coma team": (named("coma", target_every=2), TEAM),
-    "ia2c": (named("ia2c"), BOX),
-    "itrpo": (named("itrpo", policies="groups", kl_bound=0.05), DISCRETE),
-    "happo": (named("happo"), BOX),
-    "hatrpo": (named("hatrpo", kl_bound=0.05), TEAM),
-}
-QUICK = ("ippo groups box", "mappo others", "coma team", "hatrpo")
-every_case = pytest.mark.parametrize(("config", "spec"), quick_or_slow(CASES, *QUICK))
 
 
 def randomised(network: RecurrentNetwork, seed: int = 0) -> RecurrentNetwork:
@@ -344,83 +324,3 @@ def test_hidden_states_of_critics_continue_across_iterations(fabricate: Fabricat
         carried = before[-1]
         assert critic.networks.carried is not None
         np.testing.assert_allclose(critic.networks.carried, carried, atol=1e-12)
-
-
-def _tensors(state: Any, path: str = "") -> dict[str, NDArray[Any]]:  # noqa: ANN401 - tensors, nested
-    if isinstance(state, Tensor):
-        return {path: state.detach().numpy().copy()}
-    if not isinstance(state, dict | list):
-        return {}
-    items = state.items() if isinstance(state, dict) else enumerate(state)
-    return {n: t for key, value in items for n, t in _tensors(value, f"{path} {key}").items()}
-
-
-def _joined(parts: list[Trajectory]) -> Trajectory:
-    names = Trajectory.__dataclass_fields__
-    return Trajectory(*(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in names))
-
-
-@every_case
-def test_rows_of_absent_agents_change_nothing(
-    fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
-) -> None:
-    clean, bad = (OnPolicyLearner(config, spec, (3,), "cpu") for _ in range(2))
-    for iteration in (1, 2):
-        track = made(fabricate, spec, iteration, absent=0.4, idle=0.3)
-        clean.update(track, iteration, 0.0)
-        bad.update(poisoned(track), iteration, 0.0)
-    expected = _tensors(clean.state_dict())
-    for name, array in _tensors(bad.state_dict()).items():
-        np.testing.assert_array_equal(array, expected[name], err_msg=name)
-
-
-def _splits(case: str) -> bool:
-    """Return whether policies can be shared first and split later."""
-    config = CASES[case][0]
-    return config.order != "sequential" and config.policies != "shared"
-
-
-@pytest.mark.parametrize(
-    ("shared_until", "case"),
-    quick_or_slow(
-        {
-            f"{until}-{case}": (until, case)
-            for until, case in pairwise(
-                [0.0, 0.5], CASES, where=lambda until, case: not until or _splits(case)
-            )
-        },
-        "0.5-coma",
-        "0.0-happo",
-    ),
-)
-def test_training_resumed_from_a_state_is_exact(fabricate: Fabricate, shared_until: float, case: str) -> None:
-    """Bit for bit, hidden states of critics included, also across the split of shared policies."""
-    config, spec = CASES[case]
-    config = replace(config, shared_until=shared_until) if shared_until else config
-    first, second = (ENTRIES["custom"].learner(config, spec, (3, 5), "cpu") for _ in range(2))
-    tracks = [_joined([made(fabricate, spec, 7 * i + r, absent=0.2) for r in range(2)]) for i in range(4)]
-    for i, track in enumerate(tracks[:2]):
-        first.update(track, i + 1, i / 4)
-    second.load_state_dict(_copied(first.state_dict()))
-    for i, track in enumerate(tracks[2:], start=2):
-        first.update(track, i + 1, i / 4)
-        second.update(track, i + 1, i / 4)
-    expected = _tensors(first.state_dict())
-    got = _tensors(second.state_dict())
-    assert got.keys() == expected.keys()
-    for name, array in got.items():
-        np.testing.assert_array_equal(array, expected[name], err_msg=name)
-
-
-def _copied(state: Any) -> Any:  # noqa: ANN401 - tensors, nested
-    if isinstance(state, Tensor):
-        return state.clone()
-    if isinstance(state, dict):
-        return {key: _copied(value) for key, value in state.items()}
-    return [_copied(value) for value in state] if isinstance(state, list) else state
-
-
-@pytest.mark.parametrize("field", ["gru_size", "sequence_length"])
-def test_impossible_sizes_are_refused(field: Literal["gru_size", "sequence_length"]) -> None:
-    with pytest.raises(ValueError, match=f"{field} must be at least 1"):
-        replace(GRU, **{field: 0})

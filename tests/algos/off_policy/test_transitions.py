@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from covering import pairwise
 from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory
@@ -93,9 +94,7 @@ def _assert_same(got: list[Row], expected: list[Row]) -> None:
             np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("n_step", [1, 2, 5])
-@pytest.mark.parametrize("idle", [0.0, 0.6])
-@pytest.mark.parametrize("spec", [SPEC, TEAM, TEAMS], ids=["individual", "team", "teams"])
+@pytest.mark.parametrize(("n_step", "spec", "idle"), pairwise([1, 2, 5], [SPEC, TEAM, TEAMS], [0.0, 0.6]))
 def test_transitions_are_those_of_a_walk_along_each_stream(
     fabricate: Fabricate, n_step: int, idle: float, spec: EnvSpec
 ) -> None:
@@ -123,21 +122,6 @@ def test_rows_without_experience_are_never_read(
         np.testing.assert_array_equal(getattr(bad, name), getattr(clean, name))
     assert np.isfinite(bad.observations).all()
     assert np.isfinite(bad.next_observations).all()
-
-
-def test_transitions_across_iterations_equal_those_of_one_long_iteration(fabricate: Fabricate) -> None:
-    whole = fabricate(SPEC, 20, 3, seed=1, absent=0.4, idle=0.5)
-    names = Trajectory.__dataclass_fields__
-    with_last_row = ("observations", "states", "alive", "action_masks")
-
-    def part_of(first: int, last: int) -> Trajectory:
-        cuts = {name: slice(first, last + (name in with_last_row)) for name in names}
-        return Trajectory(*(getattr(whole, name)[cuts[name]] for name in names))
-
-    one, several = (TransitionBuilder(SPEC, GAMMA, 3) for _ in range(2))
-    at_once = [one.transitions(whole)]
-    in_parts = [several.transitions(part_of(first, first + 5)) for first in range(0, 20, 5)]
-    _assert_same(_rows(in_parts), _rows(at_once))
 
 
 def test_without_snapshots_transitions_end_with_the_iteration(fabricate: Fabricate) -> None:

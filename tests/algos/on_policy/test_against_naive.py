@@ -4,7 +4,7 @@ The naive learner has no stacks: torch.nn modules, torch.optim.Adam, torch.distr
 (agent, step, copy). It shares with Headway the initial weights and the order of minibatches.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Sized
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -50,9 +50,8 @@ TRUST: dict[str, Any] = {
     "cg_iterations": 80,
 }
 CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
-    "ippo": (configure("ippo", **SETTINGS), DISCRETE),
     "ippo with penalty and value clip": (
-        configure("ippo", **SETTINGS, kl_coeff=0.2, value_clip=0.5),
+        configure("ippo", **SETTINGS, policies="independent", kl_coeff=0.2, value_clip=0.5),
         DISCRETE,
     ),
     "ippo box, relu": (
@@ -72,8 +71,7 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
         ),
         DISCRETE,
     ),
-    "mappo": (configure("mappo", **SETTINGS), DISCRETE),
-    "mappo groups": (configure("mappo", **SETTINGS, policies="groups"), DISCRETE),
+    "mappo": (configure("mappo", **SETTINGS, policies="independent"), DISCRETE),
     "mappo box with state, shared": (configure("mappo", **SETTINGS, policies="shared"), BOX),
     "mappo team": (configure("mappo", **SETTINGS, policies="groups", value_clip=0.5), TEAM),
     "ia2c": (configure("ia2c", **SETTINGS), DISCRETE),
@@ -87,10 +85,8 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     ),
     "happo": (configure("happo", **SETTINGS, kl_coeff=0.2), DISCRETE),
     "happo box": (configure("happo", **SETTINGS), BOX),
-    "happo groups": (configure("happo", **SETTINGS, policies="groups"), DISCRETE),
     "hatrpo groups, box": (configure("hatrpo", **TRUST, policies="groups"), BOX),
     "hatrpo team": (configure("hatrpo", **TRUST), TEAM),
-    "hatrpo box": (configure("hatrpo", **TRUST), BOX),
     "haa2c": (configure("custom", **SETTINGS, critic="central", update="a2c", order="sequential"), DISCRETE),
 }
 
@@ -129,6 +125,22 @@ def _vector(tensors: Sequence[Tensor]) -> Tensor:
 
 
 @dataclass
+class Rows:
+    """What a policy saw and did, and the weights of its actions' log-probabilities."""
+
+    inputs: Tensor
+    masks: Tensor | None
+    actions: Tensor
+    behaviour: Tensor
+    weights: Tensor
+
+    def one(self, i: int) -> "Rows":
+        row = slice(i, i + 1)
+        masks = None if self.masks is None else self.masks[row]
+        return Rows(self.inputs[row], masks, self.actions[row], self.behaviour[row], self.weights[row])
+
+
+@dataclass
 class Policy:
     agents: list[int]
     network: nn.Sequential
@@ -140,8 +152,8 @@ class Policy:
     def parameters(self) -> list[nn.Parameter]:
         return [*self.network.parameters(), *([] if self.log_std is None else [self.log_std])]
 
-    def distribution(self, inputs: Tensor, masks: Tensor | None) -> Any:  # noqa: ANN401 - torch leaves it untyped
-        outputs = self.network(inputs)
+    def distribution(self, rows: Rows) -> Any:  # noqa: ANN401 - torch leaves it untyped
+        outputs, masks = self.network(rows.inputs), rows.masks
         if self.log_std is not None:
             return Independent(Normal(outputs, self.log_std.exp().expand_as(outputs)), 1)
         return Categorical(logits=outputs if masks is None else outputs.masked_fill(~masks, -400.0))
@@ -282,7 +294,7 @@ class Naive:
         steps, copies = chosen.shape[:2]
         return [(n, t, c) for n in agents for t in range(steps) for c in range(copies) if chosen[t, c, n]]
 
-    def _batches(self, rows: Sequence[object], purpose: str, k: int, iteration: int) -> list[list[int]]:
+    def _batches(self, rows: Sized, purpose: str, k: int, iteration: int) -> list[list[int]]:
         random, parts, batches = generator(self.seed, purpose, k, iteration), self.config.minibatches, []
         for _ in range(self.config.epochs):
             order = random.permutation(len(rows)).tolist()
@@ -309,58 +321,41 @@ class Naive:
         masks = None
         if self.spec.has_action_mask:
             masks = torch.tensor(np.array([made.action_masks[t, c, n] for n, t, c in rows]))
+        seen = Rows(inputs, masks, actions, behaviour, torch.tensor(weights))
         with torch.no_grad():
-            old = self._detached(policy.distribution(inputs, masks))
-        seen = (inputs, masks, actions, behaviour, torch.tensor(weights))
+            old = self._detached(policy.distribution(seen))
         if config.update == "a2c":
-            self._one_step(policy, *seen)
+            self._one_step(policy, seen)
         elif config.update == "trpo":
-            self._trusted_step(policy, *seen, old, config.kl_bound * share**2)
+            self._trusted_step(policy, seen, old, config.kl_bound * share**2)
         else:
-            self._epochs(k, policy, *seen, old, iteration)
+            self._epochs(k, policy, seen, old, iteration)
         with torch.no_grad():
-            ratio = (policy.distribution(inputs, masks).log_prob(actions) - behaviour).exp()
+            ratio = (policy.distribution(seen).log_prob(actions) - behaviour).exp()
         for (_, t, c), one in zip(rows, ratio.tolist(), strict=True):
             self.factor[t, c] *= one if config.order == "sequential" else 1
 
-    def _one_step(
-        self,
-        policy: Policy,
-        inputs: Tensor,
-        masks: Tensor | None,
-        actions: Tensor,
-        behaviour: Tensor,
-        weights: Tensor,
-    ) -> None:
+    def _one_step(self, policy: Policy, rows: Rows) -> None:
         loss = torch.zeros((), dtype=DOUBLE)
-        for i in range(len(inputs)):
-            one = policy.distribution(inputs[i : i + 1], None if masks is None else masks[i : i + 1])
-            loss = loss - (one.log_prob(actions[i : i + 1]) * weights[i])[0]
+        for i in range(len(rows.inputs)):
+            row = rows.one(i)
+            one = policy.distribution(row)
+            loss = loss - (one.log_prob(row.actions) * row.weights)[0]
             loss = loss - self.config.entropy_coeff * one.entropy()[0]
-        self._descend(policy.adam, policy.parameters(), loss / len(inputs))
+        self._descend(policy.adam, policy.parameters(), loss / len(rows.inputs))
 
-    def _trusted_step(
-        self,
-        policy: Policy,
-        inputs: Tensor,
-        masks: Tensor | None,
-        actions: Tensor,
-        behaviour: Tensor,
-        weights: Tensor,
-        old: Any,  # noqa: ANN401 - torch leaves it untyped
-        bound: float,
-    ) -> None:
+    def _trusted_step(self, policy: Policy, rows: Rows, old: Distribution, bound: float) -> None:
         """The Fisher matrix as the Hessian of the divergence, column by column, and a direct solution."""
         config, parameters = self.config, policy.parameters()
         start = _vector(parameters).detach()
 
         def surrogate() -> Tensor:
-            now = policy.distribution(inputs, masks)
-            gained: Tensor = (now.log_prob(actions) - behaviour).exp() * weights
+            now = policy.distribution(rows)
+            gained: Tensor = (now.log_prob(rows.actions) - rows.behaviour).exp() * rows.weights
             return (gained + config.entropy_coeff * now.entropy()).mean()
 
         def divergence() -> Tensor:
-            result: Tensor = kl_divergence(old, policy.distribution(inputs, masks))
+            result: Tensor = kl_divergence(old, policy.distribution(rows))
             return result.mean()
 
         first = surrogate()
@@ -382,32 +377,21 @@ class Naive:
                     return
             nn.utils.vector_to_parameters(start, parameters)
 
-    def _epochs(
-        self,
-        k: int,
-        policy: Policy,
-        inputs: Tensor,
-        masks: Tensor | None,
-        actions: Tensor,
-        behaviour: Tensor,
-        weights: Tensor,
-        old: Any,  # noqa: ANN401 - torch leaves it untyped
-        iteration: int,
-    ) -> None:
+    def _epochs(self, k: int, policy: Policy, rows: Rows, old: Distribution, iteration: int) -> None:
         config = self.config
-        rows = list(range(len(inputs)))
-        for batch in self._batches(rows, "actor minibatch", k, iteration):
+        for batch in self._batches(rows.weights, "actor minibatch", k, iteration):
             loss = torch.zeros((), dtype=DOUBLE)
             for i in batch:
-                one = policy.distribution(inputs[i : i + 1], None if masks is None else masks[i : i + 1])
-                ratio = (one.log_prob(actions[i : i + 1]) - behaviour[i]).exp()[0]
+                row = rows.one(i)
+                one = policy.distribution(row)
+                ratio = (one.log_prob(row.actions) - row.behaviour).exp()[0]
                 clipped = ratio.clamp(1 - config.clip, 1 + config.clip)
-                loss = loss - torch.minimum(ratio * weights[i], clipped * weights[i])
+                loss = loss - torch.minimum(ratio * row.weights[0], clipped * row.weights[0])
                 loss = loss - config.entropy_coeff * one.entropy()[0]
                 loss = loss + policy.kl_coeff * kl_divergence(self._row(old, i), one)[0]
             self._descend(policy.adam, policy.parameters(), loss / len(batch))
         with torch.no_grad():
-            kl = float(kl_divergence(old, policy.distribution(inputs, masks)).mean())
+            kl = float(kl_divergence(old, policy.distribution(rows)).mean())
         policy.kl_coeff *= 1.5 if kl > 2 * config.kl_target else 0.5 if kl < config.kl_target / 2 else 1
 
     def _detached(self, distribution: Any) -> Any:  # noqa: ANN401 - torch leaves it untyped

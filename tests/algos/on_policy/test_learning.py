@@ -85,13 +85,15 @@ def _rule(env: str, env_args: Mapping[str, Any], name: str) -> float:
     return float(np.mean([float(row["return"]) for row in rows]))
 
 
+def _shares(env: str, env_args: Mapping[str, Any], evaluated: list[list[Row]]) -> list[float]:
+    """How far each seed's mean return lies on the way from random to optimal play."""
+    random, best = (_rule(env, env_args, name) for name in ("random", "optimal"))
+    return [(mean - random) / (best - random) for mean in _returns(evaluated)]
+
+
 MATRIX_SETTINGS = {
-    "policies": "independent",
-    "minibatches": 1,
-    "lr": 1e-2,
-    "lr_end": 0.1,
-    "entropy_coeff": 0.3,
-}
+    "policies": "independent", "minibatches": 1, "lr": 1e-2, "lr_end": 0.1, "entropy_coeff": 0.3
+}  # fmt: skip
 NATURAL_LR = {"lr": 0.25}
 """Settings of K-FAC; the learning rate is a share of the natural gradient."""
 CLIMBING: dict[str, tuple[dict[str, float], int]] = {
@@ -157,9 +159,7 @@ def test_visitors_choose_nearly_as_well_as_can_be_and_never_what_is_forbidden(al
     if algorithm in IN_TURNS:
         settings, iterations = {**settings, "policies": "independent", "lr": 2e-3, "epochs": 3}, 20
     evaluated = _train("visitors", {}, algorithm, settings, (0, 1), (4, 64, iterations))
-    random, best = _rule("visitors", {}, "random"), _rule("visitors", {}, "optimal")
-    shares = [(mean - random) / (best - random) for mean in _returns(evaluated)]
-    assert min(shares) > (0.88 if algorithm in IN_TURNS else 0.96)
+    assert min(_shares("visitors", {}, evaluated)) > (0.88 if algorithm in IN_TURNS else 0.96)
     assert all(row["disallowed"] == 0 for rows in evaluated for row in rows)
 
 
@@ -199,9 +199,7 @@ def test_counterfactual_credit_finds_each_agents_part_in_a_teams_reward() -> Non
         "lr": 3e-3,
     }  # fmt: skip
     evaluated = _train("trivial", team, "custom", settings, (0, 1), (4, 50, 15))
-    random, best = _rule("trivial", team, "random"), _rule("trivial", team, "optimal")
-    shares = [(mean - random) / (best - random) for mean in _returns(evaluated)]
-    assert min(shares) > 0.75
+    assert min(_shares("trivial", team, evaluated)) > 0.75
 
 
 def test_q_learning_plays_matrix_without_a_trap_at_its_optimum() -> None:
@@ -215,14 +213,9 @@ def test_q_learning_plays_matrix_without_a_trap_at_its_optimum() -> None:
 
 
 REPLAYED = {
-    "policies": "shared",
-    "agent_id": False,
-    "lr": 2e-3,
-    "updates": 30,
-    "batch_size": 64,
-    "learning_starts": 200,
-    "target_every": 50,
-}
+    "policies": "shared", "agent_id": False, "lr": 2e-3, "updates": 30, "batch_size": 64,
+    "learning_starts": 200, "target_every": 50,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("double", [True, False])
@@ -230,8 +223,7 @@ def test_q_learning_of_visitors_chooses_nearly_as_well_as_can_be(double: bool) -
     """At least 0.94 of the way from random to optimal, among agents that come and go; nothing forbidden."""
     settings = {**REPLAYED, "gamma": 0.9, "double": double}
     evaluated = _train("visitors", {}, "madqn", settings, (0, 1), (4, 32, 20))
-    random, best = _rule("visitors", {}, "random"), _rule("visitors", {}, "optimal")
-    assert min((mean - random) / (best - random) for mean in _returns(evaluated)) > 0.94
+    assert min(_shares("visitors", {}, evaluated)) > 0.94
     assert all(row["disallowed"] == 0 for rows in evaluated for row in rows)
 
 
@@ -241,8 +233,7 @@ def test_q_learning_of_trivial_comes_near_its_optimum(n_step: int) -> None:
     team = {"agents": 3, "steps": 50}
     settings = {**REPLAYED, "gamma": 0.5, "n_step": n_step}
     evaluated = _train("trivial", team, "madqn", settings, (0, 1), (4, 50, 20))
-    random, best = _rule("trivial", team, "random"), _rule("trivial", team, "optimal")
-    assert min((mean - random) / (best - random) for mean in _returns(evaluated)) > 0.85
+    assert min(_shares("trivial", team, evaluated)) > 0.85
 
 
 def test_deterministic_policies_track_at_little_more_than_the_optimal_cost() -> None:

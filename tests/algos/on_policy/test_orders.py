@@ -1,6 +1,6 @@
 """The sequential order: the permutation, and the factor of each policy."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -10,15 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
+from headway.contracts import Box, Discrete, EnvSpec, generator
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch
-from headway_algos.components import ORDERS, UPDATES, Component
+from headway_algos.components import UPDATES
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
-from headway_algos.on_policy.learner import OnPolicyLearner
-from headway_algos.on_policy.orders import simultaneous
 from headway_algos.on_policy.sequential_order import sequential
 from headway_algos.on_policy.updates.gradient_update import GradientUpdate
 from headway_algos.on_policy.updates.kl_penalty import KLPenalty
@@ -114,23 +112,6 @@ def test_advantages_are_weighted_by_the_ratios_of_agents_updated_before(spec: En
     assert info["policy"].tolist() == list(range(R * N))
 
 
-def test_the_first_policy_in_order_is_updated_as_in_the_simultaneous_order() -> None:
-    """The others are not: ratios other than 1 change their factors."""
-    rows, advantages, _ = _rows(DISCRETE)
-    results = []
-    for order in (sequential, simultaneous):
-        update = _update(GradientUpdate, DISCRETE)
-        order(update, APART, rows, advantages, _generators("rows", R * N), _generators("order", R))
-        results.append([parameter.detach().clone() for parameter in update.actor.parameters()])
-    first = [r * N + int(random.permutation(N)[0]) for r, random in enumerate(_generators("order", R))]
-    for one, other in zip(*results, strict=True):
-        for p in range(R * N):
-            if p in first:
-                torch.testing.assert_close(one[p], other[p], rtol=1e-10, atol=1e-10)
-            else:
-                assert (one[p] - other[p]).abs().max() > 1e-4
-
-
 def test_the_state_of_an_update_is_adopted_from_its_part() -> None:
     """Moments and coefficients after two updates are as if each policy had its own update."""
     rows, advantages, _ = _rows(DISCRETE)
@@ -177,29 +158,3 @@ def test_a_part_is_a_copy_until_it_is_adopted(update: Any) -> None:  # noqa: ANN
         assert not torch.equal(new[6], old[6])
         for p in (0, 2, 3, 4, 5, 7):
             assert torch.equal(new[p], old[p])
-
-
-def test_the_order_is_drawn_anew_for_each_replica_and_iteration(
-    fabricate: Callable[..., Trajectory], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: list[tuple[int, ...]] = []
-
-    def noting(
-        update: GradientUpdate,
-        grouping: Grouping,
-        rows: PolicyBatch,
-        advantages: Tensor,
-        generators: Sequence[np.random.Generator],
-        order_generators: Sequence[np.random.Generator],
-    ) -> dict[str, Tensor]:
-        drawn.extend(tuple(random.permutation(N)) for random in order_generators)
-        return {}
-
-    monkeypatch.setitem(ORDERS, "sequential", Component("", AlgoConfig, noting))
-    learner = OnPolicyLearner(CONFIG, DISCRETE, (3, 8), "cpu")
-    for iteration in (1, 2, 3):
-        learner.update(fabricate(DISCRETE, 4, 2, seed=0), iteration, 0.0)
-    expected = [tuple(generator(s, "agent order", i).permutation(N)) for i in (1, 2, 3) for s in (3, 8)]
-    assert drawn == expected
-    assert drawn[0] != drawn[1]  # replicas
-    assert drawn[0] != drawn[2]  # iterations

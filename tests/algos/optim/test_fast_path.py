@@ -226,16 +226,6 @@ def test_training_compiles_nothing_after_warm_up() -> None:
     assert all(str(signature) in warmed["step_networks"] for signature in of_adam.signatures)
 
 
-def test_tanh_is_exact_to_five_parts_in_ten_million() -> None:
-    """Also where it is 1 in float32, and at 0, infinity and NaN."""
-    x = np.concatenate([np.linspace(-12, 12, 100_001), [1e-20, -1e-3, np.inf, -np.inf, np.nan]])
-    row = x.astype(np.float32)
-    expected = np.tanh(row.astype(np.float64))
-    tanh(row, np.float32(0), len(row))
-    np.testing.assert_allclose(row, expected, rtol=5e-7, atol=0)
-    assert np.nanmax(np.abs(row)) == 1
-
-
 _UNCACHED = """
 from headway_algos.kernels.perceptron import tanh
 from headway_algos.registry import configure
@@ -295,6 +285,7 @@ def test_tanh_is_accurate_to_a_few_units_in_the_last_place() -> None:
     expected = np.tanh(x.astype(np.float64))
     assert np.abs(ours - expected).max() < 5e-7
     assert (np.abs(ours / np.where(x == 0, 1, expected) - 1)[x != 0] < 1e-6).all()
-    odd = np.array([np.nan, np.inf, -np.inf], np.float32)
-    tanh(odd, np.float32(0), 3)
-    np.testing.assert_allclose(odd, [np.nan, 1, -1], rtol=5e-7)
+    assert np.abs(ours).max() == 1
+    odd = np.array([np.nan, np.inf, -np.inf, 1e-20], np.float32)
+    tanh(odd, np.float32(0), 4)
+    np.testing.assert_allclose(odd, [np.nan, 1, -1, 1e-20], rtol=5e-7)

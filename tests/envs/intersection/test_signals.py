@@ -8,7 +8,7 @@ import pytest
 
 from headway_envs.intersection import kernel
 from headway_envs.intersection.config import TERMS, IntersectionConfig
-from headway_envs.intersection.episode_metrics import METRICS, EpisodeMetrics, jain
+from headway_envs.intersection.episode_metrics import EpisodeMetrics, jain
 from headway_envs.intersection.human_drivers import acceleration
 from headway_envs.intersection.layout import (
     ACCOUNT,
@@ -23,6 +23,7 @@ from headway_envs.intersection.layout import (
     StepEvents,
     Traffic,
 )
+from headway_envs.intersection.metrics import METRICS
 from headway_envs.intersection.sumo.simulation import libsumo
 
 SEED = np.array([3], np.uint64)

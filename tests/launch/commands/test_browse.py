@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from chromium import Page
 
-from headway.store import RunRow, select
+from headway.store.index import RunRow
+from headway.store.query import select
 
 pytestmark = pytest.mark.browser
 

@@ -7,11 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_lines import Refused
 from PIL import Image
+from small_runs import SMALL
 
 from headway_envs.merge.renderer import MergeRenderer
 from headway_launch.commands.main import run
 from headway_launch.console.video import caption_strip
+
+IDLE = ("merge", "--rule", "idle", "env.args.steps=4")
 
 
 def frames(path: Path) -> list[tuple[int, int]]:
@@ -95,40 +99,33 @@ def test_a_picture_of_a_moment_needs_no_more_than_the_steps_before(
     assert len(rendered) == 3
 
 
-def test_a_trained_policy_is_drawn_behind_its_wrappers(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    small = ["env_steps=64", "rollout.copies=2", "rollout.steps=32", "rollout.block=2", "seed=0"]
-    quick = ["backend=serial", "energy=off", "preset=none", "evaluation.episodes=1"]
-    where = ["evaluation.final_episodes=1", "evaluation.rules=[]", f"store.root={tmp_path / 'runs'}"]
-    model = [
-        "env.args.steps=5",
-        "algo.model.hidden=[8]",
-        "env.wrappers=[{name: frame_stack_v1, stack_size: 2}]",
-    ]
-    assert run(["run", "experiment=merge_mappo", *small, *quick, *where, *model]) == 0
+def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path, refused: Refused) -> None:
+    store = tmp_path / "runs"
+    words = [
+        "env.args.steps=5", "env.wrappers=[{name: frame_stack_v1, stack_size: 2}]", "algo.model.hidden=[8]",
+        "rollout.steps=32", "rollout.copies=2", "rollout.block=2", "evaluation.rules=[]", "preset=none",
+        "seed=0", "backend=serial", f"store.root={store}",
+    ]  # fmt: skip
+    assert run(["run", "experiment=merge_mappo", *SMALL, *words]) == 0
     moving = tmp_path / "policy.gif"
-    assert run(["render", "s0", "--store", str(tmp_path / "runs"), "--output", str(moving)]) == 0
+    assert run(["render", "s0", "--store", str(store), "--output", str(moving)]) == 0
     assert len(frames(moving)) == 6
-    [record] = (tmp_path / "runs").glob("*/*/run.json")
+    [record] = store.glob("*/*/run.json")
     assert json.loads(record.read_text())["preset"] == "none"
     with Image.open(moving) as picture:
         said = picture.info["comment"].decode()
-    assert said.startswith(
-        f"run {record.parent.name} after 1 iteration, greedy: evaluation episode 0 of seed"
-    )
-    keep = ["render", "s0", "--store", str(tmp_path / "runs"), "--output", "end.png", "--keep"]
-    assert run([*keep, "--step", "9"]) == 2
-    assert list((tmp_path / "runs").glob("**/pictures")) == []  # made for a picture only
+    told = f"run {record.parent.name} after 1 iteration, greedy: evaluation episode 0 of seed"
+    assert said.startswith(told)
+    keep = ["render", "s0", "--store", str(store), "--output", "end.png", "--keep"]
+    refused(*keep, "--step", "9")
+    assert list(store.glob("**/pictures")) == []  # made for a picture only
     assert run(keep) == 0
-    [kept] = (tmp_path / "runs").glob("**/pictures/end.png")
+    [kept] = store.glob("**/pictures/end.png")
     assert frames(kept) == frames(moving)[:1]
     kept.unlink()
     kept.parent.rmdir()
     kept.parent.write_text("in the way")
-    capsys.readouterr()
-    assert run(keep) == 2
-    assert capsys.readouterr().err.splitlines()[-1].startswith(f"headway: --output: {kept} cannot be written")
+    assert refused(*keep).startswith(f"headway: --output: {kept} cannot be written")
 
 
 @pytest.mark.parametrize(
@@ -138,56 +135,34 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(
         (["s0"], "there is no store in 'runs'"),
         (["buss"], "unknown run or environment 'buss'; did you mean bus, with --rule RULE?"),
         (["merge", "--rule", "idel"], "--rule: unknown rule 'idel'; did you mean idle?"),
-        (
-            ["trivial", "--rule", "random"],
-            "trivial cannot be rendered; environments that can: bus, intersection",
-        ),
+        (["trivial", "--rule", "random"], "trivial cannot be rendered; environments that can: bus, inter"),
         (["merge", "--rule", "idle", "--output", "a.mp4"], "--output: a.mp4 must end in .gif or .png"),
         (["merge", "--rule", "idle", "--step", "3"], "--step needs a single picture"),
         (["merge", "--rule", "idle", "--episode", "-1"], "--episode, --seed and --step must be at least 0"),
-        (
-            ["merge", "--rule", "idle", "--keep"],
-            "--keep works for runs only; omit --keep or --rule",
-        ),
-        (
-            ["s0", "--output", "a/b.png", "--keep"],
-            "--output: with --keep give a name without a folder, b.png, not a/b.png",
-        ),
+        (["merge", "--rule", "idle", "--keep"], "--keep works for runs only; omit --keep or --rule"),
+        (["s0", "--output", "a/b.png", "--keep"], "with --keep give a name without a folder, b.png, not"),
         (["merge", "--rule", "idle", "--fps", "0"], "--fps must lie between 0.1 and 50, not 0"),
-        (["merge", "--rule", "idle", "--output", "no/where.gif"], "--output: no/where.gif cannot be written"),
         (["s0", "env.args.density=3"], "env.args.density=3: a run is rendered with its own configuration"),
-        (
-            ["merge", "--rule", "idle", "--output", "a.png", "--step", "9", "env.args.steps=4"],
-            "--step: the episode ends after 4 steps, before 9",
-        ),
+        ([*IDLE, "--output", "a.png", "--step", "9"], "--step: the episode ends after 4 steps, before 9"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_line(
-    words: list[str],
-    line: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], line: str, empty_folder: Path, refused: Refused
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert run(["render", *words]) == 2
-    error = capsys.readouterr().err.splitlines()[-1]
-    assert error.startswith("headway: ")
-    assert line in error
-    assert list(tmp_path.iterdir()) == []
+    assert line in refused("render", *words)
+    assert list(empty_folder.iterdir()) == []
 
 
+@pytest.mark.usefixtures("empty_folder")
 @pytest.mark.parametrize("output", ["no/where.gif", "taken.gif", "file/inside.png"])
 def test_where_nothing_can_be_written_nothing_is_played(
-    output: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    output: str, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     Path("taken.gif").mkdir()
     Path("file").write_text("")
     rendered: list[int] = []
     monkeypatch.setattr(MergeRenderer, "render", lambda *words, **named: rendered.append(1))
-    assert run(["render", "merge", "--rule", "idle", "--output", output]) == 2
-    told = capsys.readouterr().err
+    told = refused("render", "merge", "--rule", "idle", "--output", output)
     assert told.startswith(f"headway: --output: {output} cannot be written (")
     assert "Errno" not in told
     assert ("there is no folder no; create it first" in told) == output.startswith("no/")
@@ -198,8 +173,7 @@ def test_a_terminal_is_told_how_far_an_episode_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    words = ["render", "merge", "--rule", "idle", "env.args.steps=4", "--output", str(tmp_path / "a.gif")]
-    assert run(words) == 0
+    assert run(["render", *IDLE, "--output", str(tmp_path / "a.gif")]) == 0
     told = capsys.readouterr().err
     assert "steps played: " in told
     assert "frames written: 5 of 5" in told

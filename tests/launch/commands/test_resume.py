@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_lines import Refused
+from small_runs import SMALL, end_as
 
 from headway.config.experiment import StoreConfig
 from headway.contracts.errors import HeadwayError
@@ -15,35 +17,16 @@ from headway_launch.commands.main import run
 from headway_launch.console.progress_display import Progress
 from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
 
-TINY = (
-    "env=trivial",
-    "algo=ippo",
-    "energy=off",
-    "env.args.agents=2",
-    "env.args.steps=20",
-    "rollout.copies=4",
-    "rollout.block=2",
-    "rollout.steps=16",
-    "env_steps=64",
-    "evaluation.episodes=1",
-    "evaluation.final_episodes=2",
-)
+TINY = ("env=trivial", "algo=ippo", *SMALL, "env.args.agents=2", "env.args.steps=20")
 
 
 @pytest.fixture(autouse=True)
-def _a_folder_and_two_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def _two_cores(empty_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("headway_launch.runner.runner.usable_cores", lambda: 2)
 
 
 def _runs() -> list[RunRow]:
     return RunIndex(Path(StoreConfig().root)).rows()
-
-
-def _end_as_killed(directory: str, status: str = "KILLED") -> None:
-    """As if the session had died after the last checkpoint."""
-    path = Path(directory, "run.json")
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"status": status}))
 
 
 @pytest.mark.slow
@@ -54,7 +37,7 @@ def test_one_of_several_seeds_goes_on_alone(
     """Side by side each seed had one core, and alone it would have both."""
     assert run(["run", *TINY, f"backend={backend}", "seed=0,1"]) == 0
     first = _runs()[0]
-    _end_as_killed(first.directory)
+    end_as(first.directory)
     shown: list[tuple[str, ...]] = []
     monkeypatch.setattr(Progress, "show", lambda progress: shown.append(progress._jobs[0].cells()))
     summary = json.loads(Path(first.directory, "summary.json").read_text())
@@ -76,7 +59,7 @@ def test_what_a_killed_session_used_is_still_counted() -> None:
     # Another session measured and died before it could write a summary.
     log.append({"time": 1.0, "cpu_seconds": float(used["cpu_seconds"]) + 1000.0, "kwh": 2.0, "kg_co2": 0.5})
     log.write()
-    _end_as_killed(str(directory), "RUNNING")
+    end_as(directory, "RUNNING")
     record = RunRecord.read(directory)
     replace(record, session=replace(record.session, pid=2**22 + 1)).write(directory)
     assert run(["resume", directory.name]) == 0
@@ -84,9 +67,7 @@ def test_what_a_killed_session_used_is_still_counted() -> None:
     assert summary["cpu_seconds"] > float(used["cpu_seconds"]) + 1000.0
     assert (summary["kwh"], summary["kg_co2"]) == (2.0, 0.5)
     last = EnergyLog(directory).last()
-    assert {name: summary[name] for name in ("cpu_seconds", "kwh")} == {
-        name: last[name] for name in ("cpu_seconds", "kwh")
-    }
+    assert (summary["cpu_seconds"], summary["kwh"]) == (last["cpu_seconds"], last["kwh"])
 
 
 def _stored(root: Path, seed: int, number: int, stack: tuple[int, ...] = (), **changes: object) -> StoredRun:
@@ -121,27 +102,20 @@ def test_stacks_of_the_same_seeds_stay_as_they_were(tmp_path: Path) -> None:
 
 
 def test_runs_of_one_cell_keep_the_configuration_of_each(tmp_path: Path) -> None:
-    runs = [
-        _stored(tmp_path, seed, seed, evaluation={"episodes": episodes})
-        for seed, episodes in enumerate((1, 7))
-    ]
+    runs = [_stored(tmp_path, seed, seed, evaluation={"episodes": (1, 7)[seed]}) for seed in (0, 1)]
     batches = jobs_to_resume(runs)
     assert [jobs[0].experiment.config.evaluation.episodes for jobs in batches] == [1, 7]
 
 
-def test_a_finished_run_is_refused_before_anything_starts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _end_as_killed(str(_stored(tmp_path / "runs", 0, 0).directory), "FINISHED")
-    assert run(["resume", "run-0-s0"]) == 2
-    told = capsys.readouterr()
-    assert told.err == "headway: run run-0-s0 has finished: there is nothing to resume\n"
-    assert told.out == ""
+def test_a_finished_run_is_refused_before_anything_starts(tmp_path: Path, refused: Refused) -> None:
+    end_as(_stored(tmp_path / "runs", 0, 0).directory, "FINISHED")
+    line = refused("resume", "run-0-s0")
+    assert line == "headway: run run-0-s0 has finished: there is nothing to resume\n"
 
 
 def test_a_study_goes_on_with_what_failed_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for number, status in enumerate(("KILLED", "FAILED", "FINISHED")):
-        _end_as_killed(str(_stored(tmp_path / "runs", number, number).directory), status)
+        end_as(_stored(tmp_path / "runs", number, number).directory, status)
     resumed: list[str] = []
 
     def note(runs: list[StoredRun], known: object) -> list[object]:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 import yaml
+from command_lines import Refused, RowsOf
 
-from headway.store import RunRecord
 from headway.store.parquet_log import RunLog
-from headway.store.run_folder import Process, create_run_folder, now
+from headway.store.run_folder import Process, RunRecord, create_run_folder, now
 from headway_launch.commands.main import run
 
 REWARDS = {0: 310.0, 1: 355.5, 2: None, 3: 290.0}
@@ -99,18 +99,12 @@ def test_lines_of_csv_end_as_those_of_other_commands_do(
         (["--sort", "seed downwards"], "write FIELD, FIELD asc or FIELD desc"),
     ],
 )
-def test_bad_conditions_are_one_line(
-    store: Path, arguments: list[str], part: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["runs", "--store", str(store), *arguments]) == 2
-    told = capsys.readouterr().err
-    assert part in told
-    assert told.count("\n") == 1
+def test_bad_conditions_are_one_line(store: Path, arguments: list[str], part: str, refused: Refused) -> None:
+    assert part in refused("runs", "--store", str(store), *arguments)
 
 
-def test_two_runs_beside_each_other(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["diff", "ippo-1f2e3d-s0", "mappo-1f2e3d-s3", "--store", str(store)]) == 0
-    lines = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+def test_two_runs_beside_each_other(store: Path, rows_of: RowsOf) -> None:
+    lines = rows_of("diff", "ippo-1f2e3d-s0", "mappo-1f2e3d-s3", "--store", str(store))
     assert lines[:3] == [["setting", "A", "B"], ["algo.name", "ippo", "mappo"], ["seed", "[0]", "[3]"]]
     figures = {line[0]: line[1:] for line in lines[5:]}
     assert figures["final_reward"] == ["310", "290", "-20"]
@@ -119,6 +113,5 @@ def test_two_runs_beside_each_other(store: Path, capsys: pytest.CaptureFixture[s
     assert figures["last evaluation, greedy: return"] == ["10.5", "310.5", "300"]
 
 
-def test_a_run_beside_one_that_is_not_there(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["diff", "ippo-1f2e3d-s0", "nothing", "--store", str(store)]) == 2
-    assert "no run 'nothing'" in capsys.readouterr().err
+def test_a_run_beside_one_that_is_not_there(store: Path, refused: Refused) -> None:
+    assert "no run 'nothing'" in refused("diff", "ippo-1f2e3d-s0", "nothing", "--store", str(store))

@@ -1,82 +1,79 @@
 """`headway search` finds a winner by real runs, and `headway plot` draws them."""
 
-import argparse
 import io
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from command_lines import Refused, RowsOf
 
 from headway.contracts.errors import HeadwayError
 from headway.store.index import RunIndex
-from headway_launch.commands import search
 from headway_launch.commands.main import run
 from headway_launch.experiments.search import read_search
 from headway_launch.runner.runner import Runner
 
+SMALL = ("toy_matrix", "env_steps=2048", "backend=serial", "energy=off")
 
-def _headway(*words: str) -> subprocess.CompletedProcess[str]:
-    """Return what a command of this process gives."""
-    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
-        code = run(list(words))
-    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
+
+@dataclass(frozen=True)
+class Searched:
+    """A store with the runs of a search, and the table of its winners."""
+
+    root: Path
+    winners: str
+
+
+def winners_of(told: str) -> str:
+    return told[told.index("cell\tcandidate") :]
 
 
 @pytest.fixture(scope="module")
-def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+def searched(tmp_path_factory: pytest.TempPathFactory) -> Searched:
     root = tmp_path_factory.mktemp("store")
-    small = ("env_steps=2048", "backend=serial", "energy=off", f"store.root={root}")
-    return root, _headway("search", "toy_matrix", *small)
+    with redirect_stdout(io.StringIO()) as told:
+        assert run(["search", *SMALL, f"store.root={root}"]) == 0
+    return Searched(root, winners_of(told.getvalue()))
 
 
 @pytest.mark.slow
-def test_a_search_names_one_winner_a_cell(searched: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
-    _, done = searched
-    assert done.returncode == 0, done.stderr
-    table = done.stdout[done.stdout.index("cell\tcandidate") :].splitlines()[1:]
-    rows = [line.split("\t") for line in table if line]
+def test_a_search_names_one_winner_a_cell(searched: Searched) -> None:
+    rows = [line.split("\t") for line in searched.winners.splitlines()[1:] if line]
     assert [row[1] for row in rows] == ["lr 5e-4", "lr 5e-3"]
     first, second = (float(row[2]) for row in rows)
-    words = (
-        ["tied best", "tied best"] if first == second else ["best", ""] if first > second else ["", "best"]
-    )
-    assert [row[3] for row in rows] == words
+    words = ["best", ""] if first > second else ["", "best"]
+    assert [row[3] for row in rows] == (["tied best"] * 2 if first == second else words)
 
 
 @pytest.mark.slow
 def test_a_search_given_again_trains_nothing_and_names_the_same_winner(
-    searched: tuple[Path, subprocess.CompletedProcess[str]],
+    searched: Searched, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    root, first = searched
-    again = _headway(
-        "search", "toy_matrix", "env_steps=2048", "backend=serial", "energy=off", f"store.root={root}"
-    )
-    assert again.returncode == 0, again.stderr
-    assert "2 finished and skipped" in again.stderr
-    winners = [done.stdout[done.stdout.index("cell\tcandidate") :] for done in (first, again)]
-    assert winners[0] == winners[1]
-    assert len(RunIndex(root).rows("search_toy_matrix")) == 2
+    assert run(["search", *SMALL, f"store.root={searched.root}"]) == 0
+    again = capsys.readouterr()
+    assert "2 finished and skipped" in again.err
+    assert winners_of(again.out) == searched.winners
+    assert len(RunIndex(searched.root).rows("search_toy_matrix")) == 2
 
 
 @pytest.mark.slow
-def test_a_study_is_drawn(searched: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path) -> None:
-    root, _ = searched
+def test_a_study_is_drawn(searched: Searched, tmp_path: Path) -> None:
     picture = tmp_path / "curves.png"
-    done = _headway("plot", "search_toy_matrix", "--store", str(root), "--output", str(picture))
-    assert done.returncode == 0, done.stderr
+    where = ("--store", str(searched.root), "--output", str(picture))
+    assert run(["plot", "search_toy_matrix", *where]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow
 def test_cells_and_rules_are_compared_on_the_same_days(
-    searched: tuple[Path, subprocess.CompletedProcess[str]],
+    searched: Searched, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    root, _ = searched
-    done = _headway("compare", "search_toy_matrix", "--store", str(root), "--episodes", "4")
-    assert done.returncode == 0, done.stderr
-    header, *rows = [line.split("\t") for line in done.stdout.splitlines() if "\t" in line]
+    assert run(["compare", "search_toy_matrix", "--store", str(searched.root), "--episodes", "4"]) == 0
+    shown = capsys.readouterr()
+    header, *rows = [line.split("\t") for line in shown.out.splitlines() if "\t" in line]
     assert (header[4], header[7]) == ("minus optimal", "interval")
     cells = [f"ippo: lr {rate}" for rate in ("5e-4", "5e-3")]
     assert {row[1] for row in rows} == {"rule random", "rule optimal", *cells}
@@ -86,37 +83,33 @@ def test_cells_and_rules_are_compared_on_the_same_days(
             assert float(row[4]) == pytest.approx(float(row[3]) - optimal, abs=1e-3)
             assert float(row[5]) <= float(row[4]) <= float(row[6])
             assert row[7] == "t over episodes"
-    assert "1 seed: the interval is over episodes" in done.stderr
+    assert "1 seed: the interval is over episodes" in shown.err
+
+
+@pytest.mark.slow
+def test_rules_to_compare_with_are_chosen(searched: Searched, rows_of: RowsOf) -> None:
+    words = ("--store", str(searched.root), "--episodes", "2", "--rules", "random")
+    header, *rows = rows_of("compare", "search_toy_matrix", *words)
+    assert header[4] == "minus random"
+    assert [row[1] for row in rows if row[1].startswith("rule ")] == ["rule random"]
 
 
 @pytest.mark.slow
 def test_no_winner_is_named_while_another_session_trains_a_seed(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    searched: Searched, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    small = ("toy_matrix", "env_steps=1024", "backend=serial", "energy=off", f"store.root={tmp_path}")
-    done = _headway("search", *small)
-    assert done.returncode == 0, done.stderr
     monkeypatch.setattr(Runner, "final_rewards", lambda self: [[1.0], []])
-    monkeypatch.setattr("headway_launch.console.threads.limit_threads", lambda: None)
-    parser = argparse.ArgumentParser()
-    search.add_arguments(parser)
-    arguments = parser.parse_args(list(small))
-    arguments.debug = False
-    with pytest.raises(HeadwayError, match="ippo: lr 5e-3 has 0 of 1 seeds, because another session"):
-        search.execute(arguments)
+    assert run(["search", *SMALL, f"store.root={searched.root}"]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "ippo: lr 5e-3 has 0 of 1 seeds, because another session" in last
 
 
 @pytest.mark.parametrize(
     ("content", "line"),
     [
         ("", "must have the keys base, cells and candidates"),
-        ("base: [experiment=toy_matrix]\ncells: {}\ncandidates: {a: []}", "cells must have one entry"),
         ("base: [experiment=toy_matrix]\ncells: {a: []}\ncandidates: {}", "candidates must have one entry"),
         ("base: [experiment=toy_matrix]\ncells: {a: }\ncandidates: {b: []}", "search/broken.cells.a"),
-        (
-            "base: [experiment=toy_matrix]\ncells: {a: algo=ippo}\ncandidates: {b: []}",
-            "search/broken.cells.a",
-        ),
         ("base: [experiment=toy_matrix]\nname: c\ncells: {a: []}\ncandidates: {b: []}", "name is not a key"),
         ("base: [", "is not valid YAML"),
     ],
@@ -142,32 +135,17 @@ def test_the_installed_program_tells_a_wrong_search_in_one_line() -> None:
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (("search", "toy_matrix", "algo.lrr=1"), "algo.lrr"),
-        (("search", "toy_matrix", "algo.lr=1e-3"), "ippo: lr 5e-4 and ippo: lr 5e-3 are the same experiment"),
-    ],
-)
-def test_a_wrong_search_is_one_line(words: tuple[str, ...], line: str) -> None:
-    done = _headway(*words)
-    assert done.returncode == 2
-    assert line.lower() in done.stderr.lower()
-    assert len(done.stderr.splitlines()) == 1
+def test_candidates_that_an_override_makes_equal_are_refused(refused: Refused) -> None:
+    line = refused("search", "toy_matrix", "algo.lr=1e-3")
+    assert "ippo: lr 5e-4 and ippo: lr 5e-3 are the same experiment" in line
 
 
 @pytest.mark.slow
-def test_wrong_words_for_a_plot_are_one_line(
-    searched: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
-) -> None:
-    root, _ = searched
+def test_wrong_words_for_a_plot_are_one_line(searched: Searched, tmp_path: Path, refused: Refused) -> None:
+    absent = str(tmp_path / "absent" / "x.png")
     for words, line in (
         (("search_toy_matri",), "no study 'search_toy_matri'"),
         (("search_toy_matrix", "--metric", "evaluation_greedy/retrun"), "evaluation_greedy/return"),
-        (("search_toy_matrix", "--output", str(tmp_path / "absent" / "x.png")), "cannot be written"),
+        (("search_toy_matrix", "--output", absent), "cannot be written"),
     ):
-        done = _headway("plot", *words, "--store", str(root))
-        assert done.returncode == 2
-        assert line in done.stderr
-        assert len(done.stderr.splitlines()) == 1
+        assert line in refused("plot", *words, "--store", str(searched.root))

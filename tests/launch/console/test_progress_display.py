@@ -1,6 +1,5 @@
 """What a session shows: on a screen of any size, and in plain lines."""
 
-
 import pytest
 from rich.console import Console
 

@@ -5,13 +5,14 @@ import io
 import json
 import re
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_lines import RowsOf
 
-from headway.store import RunRecord
-from headway.store.run_folder import Process, create_run_folder, now
+from headway.store.run_folder import Process, RunRecord, create_run_folder, now
 from headway_launch.commands.main import run as run_command
 from headway_launch.console.tables import print_table
 
@@ -19,57 +20,48 @@ COLUMNS = ("name", "what it is", "first", "second figure")
 ROWS = (("alpha", "a long description of a thing", 123456, 0.0001234), ("beta", "short", 7, None))
 
 
-def at_terminal(monkeypatch: pytest.MonkeyPatch, width: int) -> None:
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", str(width))
-    monkeypatch.setenv("TERM", "xterm")
+LinesAt = Callable[[int, Callable[[], object]], list[str]]
 
 
-def shown_lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
-    return re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).splitlines()
+@pytest.fixture
+def lines_at(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> LinesAt:
+    """(width, call) -> the lines that a call prints at a terminal of that width, without styles."""
+
+    def lines(width: int, call: Callable[[], object]) -> list[str]:
+        monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+        monkeypatch.setenv("COLUMNS", str(width))
+        monkeypatch.setenv("TERM", "xterm")
+        call()
+        return re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).splitlines()
+
+    return lines
 
 
 @pytest.mark.parametrize("width", [200, 60, 50])
-def test_numbers_never_break_and_text_gives(
-    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    at_terminal(monkeypatch, width)
-    print_table(COLUMNS, ROWS, spare=("second figure",))
-    lines = shown_lines(capsys)
+def test_numbers_never_break_and_text_gives(width: int, lines_at: LinesAt) -> None:
+    lines = lines_at(width, lambda: print_table(COLUMNS, ROWS, spare=("second figure",)))
     assert max(map(len, lines)) <= width
     assert any("123,456" in line and "0.0001234" in line for line in lines)
     assert "omitted" not in lines[-1]
 
 
-def test_spare_columns_go_first_and_that_is_said(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    at_terminal(monkeypatch, 40)
-    print_table(COLUMNS, ROWS, spare=("second figure", "first"))
-    lines = shown_lines(capsys)
+def test_spare_columns_go_first_and_that_is_said(lines_at: LinesAt) -> None:
+    lines = lines_at(40, lambda: print_table(COLUMNS, ROWS, spare=("second figure", "first")))
     assert any("123,456" in line for line in lines)
     assert not any("0.0001234" in line for line in lines)
     assert lines[-1] == "columns omitted on this narrow terminal: second figure"
 
 
-def test_what_cannot_fit_is_printed_as_lists(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    at_terminal(monkeypatch, 24)
-    print_table(COLUMNS, ROWS, title="things", spare=("second figure",))
-    lines = shown_lines(capsys)
+def test_what_cannot_fit_is_printed_as_lists(lines_at: LinesAt) -> None:
+    lines = lines_at(24, lambda: print_table(COLUMNS, ROWS, title="things", spare=("second figure",)))
     assert lines[:2] == ["things", "name           alpha"]
     assert "second figure  0.0001234" in lines  # lists have room for all
     assert not any("omitted" in line for line in lines)
 
 
-def test_before_rows_become_lists_whole_columns_break(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    at_terminal(monkeypatch, 40)
+def test_before_rows_become_lists_whole_columns_break(lines_at: LinesAt) -> None:
     identity = "merge_two_lane-mappo-bda0c7-s0-20261122-110412-cc57"
-    print_table(("run", "reward"), [(identity, 0.123)], whole=("run",))
-    lines = shown_lines(capsys)
+    lines = lines_at(40, lambda: print_table(("run", "reward"), [(identity, 0.123)], whole=("run",)))
     assert max(map(len, lines)) <= 40
     cells = [[cell.strip() for cell in line.split("│")[1:3]] for line in lines if line.startswith("│")]
     assert "".join(cell for cell, _ in cells) == identity
@@ -97,13 +89,9 @@ def store(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("width", [200, 100, 90, 80, 70])
-def test_runs_keep_identity_status_and_result_whole(
-    width: int, store: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    at_terminal(monkeypatch, width)
-    assert run_command(["runs", "--store", str(store)]) == 0
-    lines = shown_lines(capsys)
+@pytest.mark.parametrize("width", [200, 90, 70])
+def test_runs_keep_identity_status_and_result_whole(width: int, store: Path, lines_at: LinesAt) -> None:
+    lines = lines_at(width, lambda: run_command(["runs", "--store", str(store)]))
     assert max(map(len, lines[:-1])) <= width  # the last line may tell what is left out
     row = next(line for line in lines if "bus-mappo-1f2e3d-s0" in line)
     assert re.search(r"-[0-9a-f]{4} .*FINISHED .*0\.6667 ", row)
@@ -114,14 +102,12 @@ def test_runs_keep_identity_status_and_result_whole(
 
 
 def test_runs_have_a_column_of_co2_where_some_is_known(
-    store: Path, capsys: pytest.CaptureFixture[str]
+    store: Path, rows_of: RowsOf, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run_command(["runs", "--store", str(store)]) == 0
-    assert "kg CO2eq" in capsys.readouterr().out.splitlines()[0].split("\t")
+    assert "kg CO2eq" in rows_of("runs", "--store", str(store))[0]
     [summary] = store.rglob("summary.json")
     summary.write_text(json.dumps({"kwh": 1e-5, "kg_co2": None}))
-    assert run_command(["runs", "--store", str(store)]) == 0
-    header = capsys.readouterr().out.splitlines()[0].split("\t")
+    header = rows_of("runs", "--store", str(store))[0]
     assert "kWh" in header
     assert "kg CO2eq" not in header
     assert run_command(["runs", "--store", str(store), "--format", "csv"]) == 0
@@ -129,10 +115,9 @@ def test_runs_have_a_column_of_co2_where_some_is_known(
 
 
 def test_runs_call_the_auc_what_it_is_and_csv_has_fields_and_all_digits(
-    store: Path, capsys: pytest.CaptureFixture[str]
+    store: Path, rows_of: RowsOf, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run_command(["runs", "--store", str(store)]) == 0
-    header, row = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    header, row = rows_of("runs", "--store", str(store))
     assert row[header.index("AUC (own range)")] == "0.333333"
     assert run_command(["runs", "--store", str(store), "--format", "csv"]) == 0
     [fields] = csv.DictReader(io.StringIO(capsys.readouterr().out))

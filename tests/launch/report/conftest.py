@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 import yaml
 
-from headway.store import RunLog, RunRecord, Status
 from headway.store.atomic_files import write_json, write_text
-from headway.store.run_folder import Process, create_run_folder, now, rules_file
+from headway.store.parquet_log import RunLog
+from headway.store.run_folder import Process, RunRecord, Status, create_run_folder, now, rules_file
 from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 

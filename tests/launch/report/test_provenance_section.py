@@ -9,20 +9,14 @@ from headway_launch.report import provenance_section
 
 
 @pytest.mark.parametrize(
-    ("algos", "ending"),
-    [
-        ([{"name": "ippo"}, {"name": "a3c", "application": "in_turns"}], "."),
-        (
-            [{"name": "ippo"}, {"name": "a3c", "application": "arrival"}],
-            ", except for algorithms that apply gradients",
-        ),
-    ],
+    ("application", "ending"),
+    [("in_turns", "."), ("arrival", ", except for algorithms that apply gradients")],
 )
 def test_algorithms_that_apply_gradients_on_arrival_are_excepted_from_reproduction(
-    monkeypatch: pytest.MonkeyPatch, algos: list[dict[str, str]], ending: str
+    monkeypatch: pytest.MonkeyPatch, application: str, ending: str
 ) -> None:
-    data: Any = SimpleNamespace(
-        cells={("task", algo["name"]): [SimpleNamespace(directory=algo)] for algo in algos}
-    )
+    algos = [{"name": "ippo"}, {"name": "a3c", "application": application}]
+    cells = {("task", algo["name"]): [SimpleNamespace(directory=algo)] for algo in algos}
+    data: Any = SimpleNamespace(cells=cells)
     monkeypatch.setattr(provenance_section, "configuration", lambda directory: {"algo": directory})
     assert provenance_section._determinism_exception(data).startswith(ending)

@@ -13,19 +13,15 @@ from headway_launch.report.reproduction_line import reproducing_line
 @pytest.mark.parametrize(
     "overrides",
     [
-        pytest.param(("experiment=bus_mappo",), marks=pytest.mark.slow),
         ("experiment=bus_mappo", "preset=bus_tuned_independent", "algo=happo", "algo.lr=3e-5"),
-        pytest.param(
-            ("experiment=bus_mappo", "preset=paper", "rollout.steps=64", "algo=coma"), marks=pytest.mark.slow
-        ),
+        ("experiment=bus_mappo", "preset=paper", "rollout.steps=64", "algo=coma"),
         ("experiment=toy_matrix", "energy=off", "evaluation.rules=[]", "algo.grad_clip=null"),
         (
             "experiment=toy_trivial",
             "env.wrappers=[{name: frame_stack_v1, stack_size: 4}, clip_reward_v0]",
             "study=\"with spaces = and 'quotes'\"",
         ),
-        ("env=mpe2.simple_spread_v3", "algo=itrpo", "env.args.N=3", "backend.stack=2"),
-        ("env=bus", "algo=ippo", "env.training_args={reward: {scope: own}}"),
+        ("env=mpe2.simple_spread_v3", "algo=itrpo", "env.training_args={N: 3}", "backend.stack=2"),
     ],
 )
 def test_lines_compose_what_was_run(overrides: Sequence[str]) -> None:

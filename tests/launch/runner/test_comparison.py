@@ -1,7 +1,7 @@
 import pytest
 
 from headway.events import Row
-from headway.stats import paired_difference, paired_difference_over_seeds
+from headway.stats.intervals import paired_difference, paired_difference_over_seeds
 from headway_launch.runner.comparison import print_comparison
 
 

@@ -7,7 +7,11 @@ import pytest
 
 from headway.config.experiment import StoreConfig
 from headway.events import Event, Failed, Finished, IterationFinished, Started, Usage
-from headway.store import CHECKPOINTS, Run, RunIndex, RunLog, RunRecord, SessionStore, save_checkpoint
+from headway.store.checkpoint import save_checkpoint
+from headway.store.index import RunIndex
+from headway.store.parquet_log import RunLog
+from headway.store.run_folder import CHECKPOINTS, RunRecord
+from headway.store.session import Cell, Run, SessionStore
 from headway_launch.runner.recorder import JobRecorder
 from headway_launch.runner.results import SeedResult, print_cells, seed_result
 
@@ -18,7 +22,7 @@ STEPS = 100
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sequence[Run]:
     """Two seeds of one stack, without MLflow."""
     monkeypatch.setattr(SessionStore, "track", lambda store, update: None)
-    cell = SessionStore.open(StoreConfig(root=str(tmp_path))).begin_cell("study", "bus", "ippo", {})
+    cell = Cell(SessionStore.open(StoreConfig(root=str(tmp_path))), "study", "bus", "ippo", {})
     return [cell.begin_run(seed, "", {}, iterations=10) for seed in (0, 1)]
 
 
@@ -71,21 +75,15 @@ def test_a_curve_of_two_points_has_no_area(
     assert capsys.readouterr().err == definition + (line if area is None else "")
 
 
-def test_without_a_checkpoint_nothing_is_kept(runs: Sequence[Run]) -> None:
-    recording = JobRecorder(runs)
-    train(recording, 8)
-    recording.take(Finished(8, stopped=True))
-    result = result_of(runs[0])
-    assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
-
-
-def test_a_run_stopped_before_its_first_iteration_has_no_result(runs: Sequence[Run]) -> None:
-    """The evaluation before training is not a result."""
+@pytest.mark.parametrize("iterations", [0, 8])
+def test_without_a_checkpoint_there_is_no_result(runs: Sequence[Run], iterations: int) -> None:
+    """Nor is the evaluation before training one."""
     log = RunLog(runs[0].directory)
     log.append("curve", [{"iteration": 0, "env_steps": 0, "wall_s": 0.0, "evaluation_greedy/return": 7.0}])
     log.commit(0)
     recording = JobRecorder(runs)
-    recording.take(Finished(0, stopped=True))
+    train(recording, iterations)
+    recording.take(Finished(iterations, stopped=True))
     result = result_of(runs[0])
     assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
 

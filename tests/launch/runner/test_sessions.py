@@ -6,65 +6,55 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NoReturn, cast
 
 import psutil
 import pytest
+from command_lines import Refused
+from small_runs import SMALL
 
 from headway.contracts.errors import HeadwayError
-from headway.store import CHECKPOINTS
+from headway.events import Event, IterationFinished
 from headway.store.checkpoint import latest_iteration
 from headway.store.index import RunIndex, RunRow
+from headway.store.run_folder import CHECKPOINTS
 from headway_launch.commands.main import run
 from headway_launch.runner.cell import SessionCell
 from headway_launch.runner.runner import Runner
 from headway_launch.runner.scheduler import StopRequests
+from headway_launch.runner.training_process import TrainingProcess
 
 TINY = (
-    "env=trivial",
-    "algo=ippo",
-    "energy=off",
-    "env.args.agents=2",
-    "env.args.steps=20",
-    "rollout.copies=4",
-    "rollout.steps=32",
-    "evaluation.episodes=1",
-    "evaluation.final_episodes=2",
+    "env=trivial", "algo=ippo", *SMALL, "env.args.agents=2", "env.args.steps=20", "rollout.steps=32",
     "evaluation.every=1000000",
-)
+)  # fmt: skip
 LONG = ("env_steps=1e8",)
 PATIENCE_S = 180.0
 BEGUN = "(training| left)"
 """Pattern of a progress line once training has begun: `training`, or the time left if it is known."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Running:
-    """A `headway` process with its stderr collected line by line."""
+    """A `headway` process, whose stderr is a file."""
 
     process: "subprocess.Popen[str]"
-    lines: list[str] = field(default_factory=list)
-
-    def gather(self) -> None:
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
-            self.lines.append(line)
+    told: Path
 
     def wait_for(self, holds: Callable[[], bool]) -> None:
         deadline = time.monotonic() + PATIENCE_S
         while not holds():
-            assert time.monotonic() < deadline, f"nothing happened; stderr so far: {self.lines}"
+            assert time.monotonic() < deadline, f"nothing happened; stderr so far: {self.told.read_text()}"
             time.sleep(0.05)
 
     def has_said(self, pattern: str) -> bool:
-        return any(re.search(pattern, line) for line in list(self.lines))
+        return re.search(pattern, self.told.read_text()) is not None
 
     def table(self) -> list[dict[str, str]]:
         """Return the table of seeds, once the process has ended."""
@@ -80,29 +70,17 @@ class Running:
 
 @contextmanager
 def headway(*arguments: str, folder: Path) -> Iterator[Running]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "headway_launch", *arguments],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    running = Running(process)
-    thread = threading.Thread(target=running.gather, daemon=True)
-    thread.start()
+    command, told = [sys.executable, "-m", "headway_launch", *arguments], folder / "told.txt"
+    with told.open("w") as stderr:
+        process = subprocess.Popen(
+            command, cwd=folder, stdout=subprocess.PIPE, stderr=stderr, text=True, start_new_session=True
+        )
     try:
-        yield running
+        yield Running(process, told)
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-        thread.join(PATIENCE_S)
-
-
-def once(*arguments: str, folder: Path) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-m", "headway_launch", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
 def runs(folder: Path) -> list[RunRow]:
@@ -119,9 +97,8 @@ def folder(tmp_path: Path, empty_database: Path) -> Path:
 
 @pytest.mark.slow
 def test_a_run_ends_with_a_table_and_is_in_the_store(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    empty_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     words = ("backend=serial", "seed=3,4", "env_steps=256", "evaluation.rules=[optimal]")
     code, shown = run(["run", *TINY, *words]), capsys.readouterr()
     assert code == 0, shown.err
@@ -132,7 +109,7 @@ def test_a_run_ends_with_a_table_and_is_in_the_store(
     assert any(row[:2] == ["rule optimal", "2"] and float(row[2]) == 20.0 for row in table)  # two episodes
     assert "headway browse" in shown.err
     assert "of the training processes'" not in shown.err  # too short for a store share
-    assert [(row.seed, row.status, row.env_steps) for row in runs(tmp_path)] == [
+    assert [(row.seed, row.status, row.env_steps) for row in runs(empty_folder)] == [
         (3, "FINISHED", 256),
         (4, "FINISHED", 256),
     ]
@@ -148,13 +125,13 @@ def test_the_share_of_the_store_is_printed_for_long_trainings(
 
 
 @pytest.mark.slow
-def test_ctrl_c_keeps_everything_and_resume_continues(folder: Path) -> None:
+def test_ctrl_c_keeps_everything_resume_continues_and_a_killed_session_leaves_no_process(
+    folder: Path,
+) -> None:
     # Seed 1 waits for seed 0, so one run never starts.
-    with headway(
-        "run", *TINY, *LONG, "seed=0,1", "backend.parallel=1", "backend.workers=1", folder=folder
-    ) as running:
-        running.wait_for(lambda: running.has_said(BEGUN))
-        time.sleep(2)
+    words = ("seed=0,1", "backend.parallel=1", "backend.workers=2", "store.checkpoint_every=3")
+    with headway("run", *TINY, *LONG, *words, folder=folder) as running:
+        running.wait_for(lambda: any(row.iterations for row in runs(folder)))
         running.process.send_signal(signal.SIGINT)
         running.wait_for(lambda: running.has_said("Ctrl-C again"))
         running.process.send_signal(signal.SIGTERM)  # belongs to the same request
@@ -164,43 +141,37 @@ def test_ctrl_c_keeps_everything_and_resume_continues(folder: Path) -> None:
     assert running.has_said("headway resume")
     first = {row.seed: row for row in runs(folder)}
     assert {seed: row.status for seed, row in first.items()} == {0: "KILLED", 1: "KILLED"}
-    assert first[0].iterations > 0
     assert latest_iteration(Path(first[0].directory, CHECKPOINTS)) == first[0].iterations
     assert shown[0]["env steps"] == str(first[0].env_steps)
 
     with headway("resume", "--study", "default", folder=folder) as running:
-        running.wait_for(lambda: running.has_said(f"seed 0 .*{BEGUN}"))
-        time.sleep(0.5)
-        running.process.send_signal(signal.SIGTERM)
-        assert running.process.wait(PATIENCE_S) == 130
-    again = {row.seed: row for row in runs(folder)}
-    assert len(again) == 2
-    assert again[0].iterations > first[0].iterations
-
-
-@pytest.mark.slow
-def test_a_killed_session_leaves_no_process(folder: Path) -> None:
-    with headway("run", *TINY, *LONG, "backend.workers=2", "rollout.block=2", folder=folder) as running:
-        running.wait_for(lambda: running.has_said(BEGUN))
+        running.wait_for(lambda: any(row.iterations > first[0].iterations for row in runs(folder)))
         children = running.training()
-        assert len(children) >= 2
+        assert len(children) >= 3  # a training process and two workers
         running.process.kill()
         running.process.wait()
-        _, alive = psutil.wait_procs(children, timeout=20)
-    assert not alive
-    assert [row.status for row in runs(folder)] == ["KILLED"]
+        assert not psutil.wait_procs(children, timeout=20)[1]
+    assert sorted((row.seed, row.status) for row in runs(folder)) == [(0, "KILLED"), (1, "KILLED")]
 
 
 @pytest.mark.slow
-def test_a_lost_training_process_prints_one_line_and_the_others_continue(folder: Path) -> None:
-    with headway(
-        "run", *TINY, "env_steps=1.5e4", "backend=serial", "seed=0,1", "backend.parallel=2", folder=folder
-    ) as running:
-        running.wait_for(lambda: running.has_said(f"seed 0 .*{BEGUN}"))
-        first = min(running.training(), key=lambda child: child.create_time())
-        first.kill()
-        assert running.process.wait(PATIENCE_S) == 2
-    assert running.has_said("seed 0 failed: its training process was killed by SIGKILL")
+def test_a_lost_training_process_prints_one_line_and_the_others_continue(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    receive = TrainingProcess.receive
+
+    def receive_and_kill_the_first(process: TrainingProcess) -> Event | None:
+        event = receive(process)
+        if process._process.name == "headway training 0" and isinstance(event, IterationFinished):
+            process._process.kill()
+        return event
+
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(TrainingProcess, "receive", receive_and_kill_the_first)
+    words = ("env_steps=1e4", "backend=serial", "seed=0,1", "backend.parallel=2")
+    assert run(["run", *TINY, *words]) == 2
+    told = capsys.readouterr().err
+    assert told.count("seed 0 failed: its training process was killed by SIGKILL") == 1
     assert {row.seed: row.status for row in runs(folder)} == {0: "FAILED", 1: "FINISHED"}
 
 
@@ -221,28 +192,30 @@ def test_the_error_of_a_failed_run_is_printed_once(
     assert "HeadwayError: the scenario is gone" in Path(path).read_text()
 
 
-def test_bad_input_starts_nothing(tmp_path: Path) -> None:
-    done = once("run", *TINY, "algo.lrr=1", folder=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert not list(tmp_path.iterdir())
+def test_bad_input_starts_nothing(empty_folder: Path, refused: Refused) -> None:
+    assert "algo.lrr" in refused("run", *TINY, "algo.lrr=1")
+    assert not list(empty_folder.iterdir())
 
 
 @pytest.mark.slow
-def test_a_second_ctrl_c_kills_at_once_and_the_run_can_be_resumed(folder: Path) -> None:
-    with headway("run", *TINY, *LONG, "rollout.steps=200000", "backend=serial", folder=folder) as running:
+def test_a_second_ctrl_c_kills_at_once_and_the_table_shows_what_is_stored(folder: Path) -> None:
+    often = ("store.checkpoint_every=1000000", "evaluation.every=1", "backend=serial")
+    with headway("run", *TINY, *LONG, *often, folder=folder) as running:
         running.wait_for(lambda: running.has_said(BEGUN))
+        time.sleep(1.0)  # some hundred iterations
         children = running.training()
-        time.sleep(2.0)  # after the first evaluation, within the long first iteration
+        children[0].send_signal(signal.SIGSTOP)  # it cannot write the promised checkpoint
         running.process.send_signal(signal.SIGINT)
         running.wait_for(lambda: running.has_said("Ctrl-C again"))
         time.sleep(1.1)  # sooner counts as the same request
         running.process.send_signal(signal.SIGINT)
         assert running.process.wait(PATIENCE_S) == 130
         assert not psutil.wait_procs(children, timeout=5)[1]
+        shown = running.table()
     assert running.has_said("training after the last checkpoint is lost")
     [row] = runs(folder)
-    assert row.status == "KILLED"
+    assert (row.status, row.env_steps, row.final_reward) == ("KILLED", 0, None)
+    assert (shown[0]["env steps"], shown[0]["final reward (1 episode)"]) == ("0", "")
 
 
 def test_after_the_announcement_only_ctrl_c_is_a_second_request(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -260,20 +233,3 @@ def test_after_the_announcement_only_ctrl_c_is_a_second_request(monkeypatch: pyt
         assert requests.count == 1
         signal.raise_signal(signal.SIGINT)
         assert requests.count == 2
-
-
-@pytest.mark.slow
-def test_the_table_shows_what_is_stored_of_a_killed_run(folder: Path) -> None:
-    often = ("store.checkpoint_every=1000000", "evaluation.every=1", "backend=serial")
-    with headway("run", *TINY, *LONG, *often, folder=folder) as running:
-        running.wait_for(lambda: running.has_said(BEGUN))
-        time.sleep(1.0)  # some hundred iterations
-        running.training()[0].send_signal(signal.SIGSTOP)  # it cannot write the promised checkpoint
-        running.process.send_signal(signal.SIGINT)
-        time.sleep(1.5)
-        running.process.send_signal(signal.SIGINT)
-        assert running.process.wait(PATIENCE_S) == 130
-        shown = running.table()
-    [row] = runs(folder)
-    assert (row.status, row.env_steps, row.final_reward) == ("KILLED", 0, None)
-    assert (shown[0]["env steps"], shown[0]["final reward (1 episode)"]) == ("0", "")

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from small_runs import SMALL, end_as
 
 from headway.contracts import Box, EnvSpec
 from headway.store.parquet_log import read_rows
@@ -15,16 +16,11 @@ from headway_launch.runner.checkpointed_policy import newest_policy, policy_epis
 from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
 
 TINY = (
-    "run", "env=tracking", "algo=ippo", "energy=off", "env.args.steps=8", "algo.model.hidden=[8]",
-    "rollout.copies=4", "rollout.block=2", "rollout.steps=16", "env_steps=256", "store.checkpoint_every=1",
-    "evaluation.every=64", "evaluation.episodes=2", "evaluation.final_episodes=2", "evaluation.rules=[]",
-    "backend=serial",
+    "run", "env=tracking", "algo=ippo", *SMALL, "backend=serial", "env.args.steps=8", "env_steps=256",
+    "algo.model.hidden=[8]", "store.checkpoint_every=1", "evaluation.every=64", "evaluation.episodes=2",
+    "evaluation.rules=[]",
 )  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("empty_folder")]
 
 
 @contextmanager
@@ -50,7 +46,6 @@ def _returns(stored: StoredRun) -> list[float]:
     return [float(row["return"]) for row in rows if row["iteration"] == 4 and row["mode"] == "greedy"]
 
 
-@pytest.mark.slow
 def test_a_run_of_an_earlier_version_acts_in_the_units_it_was_trained_in() -> None:
     with _earlier_version():
         assert run(list(TINY)) == 0
@@ -61,9 +56,7 @@ def test_a_run_of_an_earlier_version_acts_in_the_units_it_was_trained_in() -> No
     root = stored.experiment.config.evaluation.seed
     assert [row["return"] for row in policy_episodes(policy, root, 2, greedy=True)] == returns
     # Back to the checkpoint before the last iteration, and on from there.
-    record = stored.directory / "run.json"
-    killed = {"status": "KILLED", "durable_iteration": 3}
-    record.write_text(json.dumps(json.loads(record.read_text()) | killed))
+    end_as(stored.directory, "KILLED", durable_iteration=3)
     (stored.directory / CHECKPOINTS / "checkpoint-000004.pt").unlink()
     [[job]] = jobs_to_resume([StoredRun.read(Path("runs"), stored.directory)])
     assert job.spec == environment.spec
@@ -71,7 +64,6 @@ def test_a_run_of_an_earlier_version_acts_in_the_units_it_was_trained_in() -> No
     assert _returns(stored) == returns
 
 
-@pytest.mark.slow
 def test_a_run_acts_in_scaled_units_and_a_study_keeps_one_kind(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(list(TINY)) == 0
     stored = _only_run()

@@ -70,9 +70,7 @@ def test_a_session_compiles_before_anything_is_in_the_store(
     assert not list(tmp_path.iterdir())
 
 
-def test_kernels_of_learners_and_environments_are_compiled_together(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_kernels_of_learners_and_environments_are_compiled_together(monkeypatch: pytest.MonkeyPatch) -> None:
     warmed = []
     monkeypatch.setattr("headway_algos.kernels.warm", lambda: warmed.append("learning"))
     monkeypatch.setattr("headway_envs.bus.kernel.warm", lambda: warmed.append("stepping"))

@@ -1,20 +1,21 @@
 """A dry run lists the runs and estimates their cost."""
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from stored_runs import keep_run
 
-from headway.energy import Energy, EnergyMeter, JobUsage
+from headway.energy.ledger import Energy, JobUsage
+from headway.energy.meter import EnergyMeter
 from headway.events import EvaluationFinished, IterationFinished, Started, Usage
-from headway.store.index import RunIndex
-from headway.store.run_folder import RunRecord, read_summary
+from headway.store.run_folder import Process
 from headway.training.loop import TrainingJob
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
+from headway_launch.experiments.sweep import compose_sweep
 from headway_launch.runner.calibration import Pace, Trial, calibrate
 from headway_launch.runner.cores import CoreShares
 from headway_launch.runner.jobs import CellPlan
@@ -53,30 +54,47 @@ def test_the_cost_of_a_job_is_start_iterations_and_evaluations() -> None:
 def test_a_dry_run_lists_estimates_and_keeps_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Cells share the processes that measure them."""
     finished: list[JobUsage] = []
-    finish = EnergyMeter.finish
+    started: list[TrainingProcess] = []
+    paces: dict[int, Pace] = {}
+    finish, start = EnergyMeter.finish, TrainingProcess.__init__
 
     def watched(meter: EnergyMeter, name: str, others: dict[str, JobUsage], usage: JobUsage) -> Energy:
         finished.append(usage)
         return finish(meter, name, others, usage)
 
+    def counted(process: TrainingProcess, job: TrainingJob, work: Work | None = None) -> None:
+        started.append(process)
+        start(process, job, work)
+
+    def kept(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, Pace], str]:
+        found, modes = calibrate(cells, shares)
+        paces.update(found)
+        return found, modes
+
     monkeypatch.setattr(EnergyMeter, "finish", watched)
+    monkeypatch.setattr(TrainingProcess, "__init__", counted)
+    monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", kept)
     monkeypatch.setattr("headway_launch.runner.calibration.uses_gpu", lambda job: True)
-    sweep = ("sweep", "env=trivial", "algo=ippo,ia2c", "seed=0..2", "rollout.steps=128", "env_steps=1e6",
-             "backend=serial", "energy=off", "evaluation.episodes=1")  # fmt: skip
-    sweep = (*sweep, f"store.root={tmp_path / 'runs'}")
+    algorithms = ("ippo", "ia2c", "mappo", "coma")
+    sweep = (
+        "sweep", "env=trivial", f"algo={','.join(algorithms)}", "seed=0..2", "rollout.steps=128",
+        "env_steps=1e6", "backend=serial", "backend.parallel=2", "energy=off", "evaluation.episodes=1",
+        f"store.root={tmp_path / 'runs'}",
+    )  # fmt: skip
     assert run([*sweep, "--dry-run"]) == 0
     shown = capsys.readouterr()
     listed, estimated = shown.out.split("\n\n")[:2]
     header, *rows = [line.split("\t") for line in listed.splitlines()]
     assert header == ["cell", "iteration", "seeds", "runs", "action"]
-    assert rows == [[algo, "8 x 128 steps", "0..2", "3", "train"] for algo in ("ippo", "ia2c")]
+    assert rows == [[algo, "8 x 128 steps", "0..2", "3", "train"] for algo in algorithms]
     header, *rows = [line.split("\t") for line in estimated.splitlines()]
     assert header == ["cell", "jobs", "s per job", "total CPU s", "total kWh"]
-    assert [row[:2] for row in rows] == [["ippo", "3"], ["ia2c", "3"]]
+    assert [row[:2] for row in rows] == [[algo, "3"] for algo in algorithms]
     assert all(float(row[2]) > 1 and float(row[3]) > 3 and row[4:] == [""] for row in rows)
-    assert {"measuring ippo", "measuring ia2c"} <= set(shown.err.splitlines())
-    assert "6 jobs" in shown.out
+    assert {f"measuring {algo}" for algo in algorithms} <= set(shown.err.splitlines())
+    assert "12 jobs" in shown.out
     assert "trains a stack" not in shown.out
     assert "measured on this machine; on a cluster" not in shown.out
     assert "energy not measured" in shown.out
@@ -84,41 +102,24 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
     assert not (tmp_path / "runs").exists()
     assert len(finished) >= 2
     assert all(usage.uses_gpu for usage in finished)
-
-
-@pytest.mark.slow
-def test_cells_share_the_processes_that_measure_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started: list[TrainingProcess] = []
-    start = TrainingProcess.__init__
-
-    def counted(process: TrainingProcess, job: TrainingJob, work: Work | None = None) -> None:
-        started.append(process)
-        start(process, job, work)
-
-    paces: dict[int, Pace] = {}
-
-    def kept(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, Pace], str]:
-        found, modes = calibrate(cells, shares)
-        paces.update(found)
-        return found, modes
-
-    monkeypatch.setattr(TrainingProcess, "__init__", counted)
-    monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", kept)
-    sweep = ("sweep", "env=trivial", "algo=ippo,ia2c,mappo,maa2c,coma", "seed=0..9", "rollout.steps=128",
-             "env_steps=1e6", "backend=serial", "backend.parallel=2", "energy=off")  # fmt: skip
-    assert run([*sweep, f"store.root={tmp_path / 'runs'}", "--dry-run"]) == 0
-    assert len(started) == 2
-    estimated = capsys.readouterr().out.split("\n\n")[1].splitlines()[1:]
-    assert [line.split("\t")[0] for line in estimated] == ["ippo", "ia2c", "mappo", "maa2c", "coma"]
     # Each cell counts the start of its process, though only the first of each process waited for torch.
-    assert len(paces) == 5
+    assert len(started) == 2
+    assert len(paces) == 4
     assert len({pace.start_s for pace in paces.values()}) == 2
     assert len({pace.cpu_start_s for pace in paces.values()}) == 2
 
 
-@pytest.mark.slow
+@pytest.fixture
+def _measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every cell has been measured, with the same result."""
+
+    def measured(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, Pace], str]:
+        return {id(cell): PACE for cell in cells}, "CPU estimated"
+
+    monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", measured)
+
+
+@pytest.mark.usefixtures("_measured")
 @pytest.mark.parametrize("words", [("run", "env=trivial", "algo=ippo"), ("search", "toy_matrix")])
 def test_run_and_search_have_a_dry_run(
     words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -132,52 +133,30 @@ def test_run_and_search_have_a_dry_run(
     assert not root.exists()
 
 
+@pytest.mark.usefixtures("_measured")
 def test_the_estimate_explains_stacks_and_the_place_of_measurement(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def measured(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, Pace], str]:
-        return {id(cell): PACE for cell in cells}, "CPU estimated"
-
-    monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", measured)
     words = [
-        "sweep",
-        "env=trivial",
-        "algo=ippo",
-        "seed=0..4",
-        "rollout.steps=16",
-        "env_steps=1e6",
-        "energy=off",
-    ]
-    words += [
-        "backend=ray",
-        "backend.workers=1",
-        "backend.parallel=1",
-        "backend.stack=3",
-        "evaluation.episodes=1",
-    ]
-    words += [f"store.root={tmp_path / 'runs'}"]
+        "sweep", "env=trivial", "algo=ippo", "seed=0..4", "rollout.steps=16", "env_steps=1e6", "energy=off",
+        "backend=ray", "backend.workers=1", "backend.parallel=1", "backend.stack=3", "evaluation.episodes=1",
+        f"store.root={tmp_path / 'runs'}",
+    ]  # fmt: skip
     assert run([*words, "--dry-run"]) == 0
     shown = capsys.readouterr().out
     assert "5 runs in 2 jobs: a job trains up to 3 seeds at once (backend.stack)" in shown
     assert "It was measured on this machine; on a cluster" in shown
 
 
-@pytest.mark.slow
 def test_a_cell_with_finished_runs_costs_their_mean_and_is_not_measured(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ["sweep", "env=trivial", "algo=ippo", "env_steps=2048", "energy=off", "backend=serial",
-             "backend.parallel=1", "evaluation.rules=[]", f"store.root={tmp_path}"]  # fmt: skip
-    assert run([*words, "seed=0,1"]) == 0
-    for row, (seconds, cpu, kwh) in zip(
-        RunIndex(tmp_path).rows(), ((10.0, 4.0, 0.1), (20.0, 6.0, 0.3)), strict=True
-    ):
-        folder = Path(row.directory)
-        replace(RunRecord.read(folder), duration_s=seconds).write(folder)
-        summary = read_summary(folder) | {"cpu_seconds": cpu, "kwh": kwh}
-        (folder / "summary.json").write_text(json.dumps(summary))
+    words = ["sweep", "env=trivial", "algo=ippo", "study=toys", "env_steps=2048", "energy=off",
+             "backend=serial", "backend.parallel=1", f"store.root={tmp_path}"]  # fmt: skip
+    [experiment] = compose_sweep(words[1:])
+    for seed, (cpu, kwh) in enumerate(((4.0, 0.1), (6.0, 0.3))):
+        keep_run(tmp_path, experiment, seed, "FINISHED", session=Process.current(), cpu_seconds=cpu, kwh=kwh)
     monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", None)
-    capsys.readouterr()
     assert run([*words, "seed=0..4", "--dry-run"]) == 0
     shown = capsys.readouterr().out
     assert "ippo\t3\t15\t15\t0.6\n" in shown  # three new seeds of 15 s, 5 CPU s and 0.2 kWh

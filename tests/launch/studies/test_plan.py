@@ -1,20 +1,16 @@
 """Progress of a sweep in the store, and the jobs that remain."""
 
-import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import yaml
+from stored_runs import keep_run
 
 from headway.contracts.errors import HeadwayError
-from headway.store import RunIndex, RunRecord, Status
 from headway.store.atomic_files import read_json
-from headway.store.run_folder import Process, cell_name, create_run_folder, now, plans_folder
+from headway.store.index import RunIndex
+from headway.store.run_folder import plans_folder
 from headway.store.session import SessionStore
 from headway_launch.commands.main import run
-from headway_launch.experiments.compose import Experiment
-from headway_launch.experiments.parameters import cell_parameters, full_mapping
 from headway_launch.experiments.sweep import compose_sweep
 from headway_launch.runner.cell import SessionCell
 from headway_launch.runner.cores import CoreShares, workers_of
@@ -22,37 +18,6 @@ from headway_launch.studies.plan import StudyProgress, keep_plan, kept_plans, pl
 from headway_launch.studies.session import require_all_ended
 
 BASE = ("env=trivial", "study=toys", "energy=off", "backend=serial", "env_steps=4096")
-ELSEWHERE = Process("elsewhere", 1, 0.0)
-"""A session on another host, which counts as running."""
-
-
-def keep_run(
-    root: Path,
-    experiment: Experiment,
-    seed: int,
-    status: Status,
-    iteration: int = 0,
-    stack: tuple[int, ...] = (),
-) -> str:
-    parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
-    cell = cell_name("trivial", experiment.algo_name, parameters)
-    run_id, directory = create_run_folder(root, "toys", cell, seed)
-    record = RunRecord(
-        run_id,
-        "toys",
-        "trivial",
-        experiment.algo_name,
-        seed,
-        1,
-        now(),
-        ELSEWHERE,
-        status,
-        parameters=parameters,
-    )
-    replace(record, durable_iteration=iteration).write(directory)
-    (directory / "config.yaml").write_text(yaml.safe_dump(full_mapping(experiment, [seed])))
-    (directory / "plan.json").write_text(json.dumps({"stack": list(stack or (seed,)), "workers": 1}))
-    return run_id
 
 
 def progress(root: Path, *overrides: str) -> StudyProgress:
@@ -78,7 +43,6 @@ def test_the_progress_of_a_seed_is_that_of_its_best_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "same"),
     [
-        ("backend.parallel=3", True),
         ("backend=process", True),
         ("energy.country=FRA", True),
         ("store.checkpoint_every=3", True),
@@ -87,12 +51,10 @@ def test_the_progress_of_a_seed_is_that_of_its_best_run(tmp_path: Path) -> None:
         ("env.args.agents=3", False),
         ("evaluation.episodes=3", False),
         ("env_steps=8192", False),
-        ("algo=ia2c", False),
     ],
 )
 def test_only_settings_that_change_the_curves_make_a_new_run(tmp_path: Path, change: str, same: bool) -> None:
-    [experiment] = compose_sweep([*BASE, "algo=ippo"])
-    keep_run(tmp_path, experiment, 0, "FINISHED")
+    keep_run(tmp_path, compose_sweep([*BASE, "algo=ippo"])[0], 0, "FINISHED")
     state = progress(tmp_path, "algo=ippo", change)
     assert (len(state.finished), len(state.new)) == ((1, 0) if same else (0, 1))
 
@@ -108,14 +70,11 @@ def test_processes_and_ray_workers_resume_each_others_runs(tmp_path: Path, befor
     assert (job.config.backend.name, job.config.backend.address) == (after, "new:2")
 
 
-def test_resumed_runs_take_the_session_settings_but_keep_their_backend(
-    tmp_path: Path,
-) -> None:
+def test_resumed_runs_take_the_session_settings_but_keep_their_backend(tmp_path: Path) -> None:
     [experiment] = compose_sweep([*BASE, "algo=ippo"])
     run_id = keep_run(tmp_path, experiment, 0, "KILLED", 7)
-    [cell] = plan_cells(
-        [progress(tmp_path, "algo=ippo", "backend=process", "backend.parallel=5", "seed=0,1")]
-    )
+    words = ("algo=ippo", "backend=process", "backend.parallel=5", "seed=0,1")
+    [cell] = plan_cells([progress(tmp_path, *words)])
     resumed, new = cell.jobs
     assert (resumed.resumed, resumed.iteration, resumed.workers) == ((run_id,), 7, 1)
     assert resumed.experiment.config.backend.name == "serial"
@@ -195,9 +154,8 @@ def test_a_finished_sweep_is_skipped_and_its_table_printed(
     sweep = [*BASE, "algo=ippo,ia2c", "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
     for experiment in compose_sweep(sweep):
         for seed in (0, 1):
-            run_id = keep_run(tmp_path, experiment, seed, "FINISHED")
             summary = {"final_reward": 2.0 + seed, "auc": 0.5, "cpu_seconds": 10.0, "kwh": None}
-            (tmp_path / "toys" / run_id / "summary.json").write_text(json.dumps(summary))
+            keep_run(tmp_path, experiment, seed, "FINISHED", **summary)
     assert run(["sweep", *sweep]) == 0
     shown = capsys.readouterr()
     assert "4 runs of study toys: 4 finished and skipped\n" in shown.err

@@ -1,5 +1,6 @@
 """Which runs of a study count, the line about the others, and the names of its cells."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import count
@@ -9,9 +10,9 @@ import pytest
 import yaml
 
 from headway.contracts.errors import HeadwayError
-from headway.store import RunIndex, RunRecord, Status
-from headway.store.cell_names import cell_names, labelled_cells
-from headway.store.run_folder import Process, create_run_folder
+from headway.store.cell_names import CellChoice, labelled_cells, names_among
+from headway.store.index import RunIndex
+from headway.store.run_folder import Process, RunRecord, Status, create_run_folder
 from headway_launch.studies.runs import configuration, finished_runs
 
 _SECONDS = count()
@@ -19,15 +20,9 @@ _SECONDS = count()
 
 
 def keep_run(
-    root: Path,
-    seed: int,
-    status: Status,
-    started: str = "",
-    policies: str = "",
-    preset: str = "",
-    candidate: str = "",
-    **parameters: str,
-) -> str:
+    root: Path, seed: int, status: Status, started: str = "", policies: str = "", preset: str = "",
+    candidate: str = "", **parameters: str,
+) -> str:  # fmt: skip
     run_id, directory = create_run_folder(root, "bus", "cell", seed)
     elsewhere = replace(Process.current(), host="elsewhere")  # counts as running
     moment = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=next(_SECONDS))
@@ -72,7 +67,7 @@ def test_a_study_without_finished_runs_says_what_it_has(tmp_path: Path) -> None:
         finished_runs(tmp_path, "bsu")
 
 
-def test_cells_of_a_study_are_named_by_their_differences(tmp_path: Path) -> None:
+def test_the_runs_of_a_cell_have_its_name(tmp_path: Path) -> None:
     for seed, policies, rate in (
         (0, "shared", "0.001"),
         (1, "shared", "0.001"),
@@ -104,72 +99,88 @@ def test_a_configuration_is_read_without_the_c_loader(
         configuration(str(tmp_path / "broken"))
 
 
-def test_wrappers_with_infinite_arguments_have_names(tmp_path: Path) -> None:
-    """Wrappers are stored as the text of a list; those that only change rewards belong to the controller."""
-    clipped = "{'name': 'clip_reward_v0', 'lower_bound': -inf, 'upper_bound': 10.0}"
-    stacked = "{'name': 'frame_stack_v1', 'stack_size': 2, 'stack_dim': -1}"
-    keep_run(tmp_path, 0, "FINISHED", **{"env.wrappers": f"[{clipped}, {stacked}]"})
-    keep_run(tmp_path, 0, "FINISHED", **{"env.wrappers": f"[{stacked}]"})
-    keep_run(tmp_path, 0, "FINISHED")
-    names = cell_names(RunIndex(tmp_path).rows()).values()
-    assert {name.task for name in names} == {f"bus, env.wrappers=[{stacked}]", "bus, without env.wrappers"}
-    assert {name.controller for name in names} == {
-        f"ippo, env.wrappers=[{clipped}]",
-        "ippo, without env.wrappers",
-        "ippo",
-    }
+def cell(parameters: Mapping[str, str], preset: str = "", candidate: str = "") -> CellChoice:
+    return CellChoice("bus", "ippo", preset, parameters, candidate)
 
 
-def test_wrappers_that_only_change_rewards_make_no_separate_task(tmp_path: Path) -> None:
-    keep_run(tmp_path, 0, "FINISHED", **{"env.wrappers": "[{'name': 'scale_reward_v0', 'scale': 0.05}]"})
-    keep_run(tmp_path, 0, "FINISHED")
-    names = cell_names(RunIndex(tmp_path).rows()).values()
-    assert {name.task for name in names} == {"bus"}
-    assert len({name.controller for name in names}) == 2
+def labels_of(cells: Iterable[CellChoice]) -> list[str]:
+    return [
+        name.label for name in names_among({str(place): each for place, each in enumerate(cells)}).values()
+    ]
 
 
-def test_a_name_lists_the_first_of_many_differing_settings(tmp_path: Path) -> None:
+CLIPPED = "{'name': 'clip_reward_v0', 'lower_bound': -inf, 'upper_bound': 10.0}"
+STACKED = "{'name': 'frame_stack_v1', 'stack_size': 2, 'stack_dim': -1}"
+SHARED, OWN = {"algo.policies": "shared"}, {"algo.policies": "independent"}
+TUNED = {"algo.lr": "0.002", "algo.gamma": "0.98", "env.training_args.reward.scope": "regional"}
+PAPER = {"algo.lr": "0.0005", "algo.gamma": "0.99", "algo.clip": "0.2"}
+STACKS = f"bus, env.wrappers=[{STACKED}]"
+AGGREGATE, WHOLE = {"env.args.state": "aggregate"}, {"env.args.state": "whole"}
+
+
+NAMED = {
+    "wrappers; those that only change rewards make no separate task": [
+        (cell({"env.wrappers": f"[{CLIPPED}, {STACKED}]"}), f"ippo, env.wrappers=[{CLIPPED}] on {STACKS}"),
+        (cell({"env.wrappers": f"[{STACKED}]"}), f"ippo, without env.wrappers on {STACKS}"),
+        (cell({}), "ippo on bus, without env.wrappers"),
+    ],
+    "presets, whose settings stay out of the names": [
+        (cell(SHARED | TUNED, "merge_tuned"), "ippo merge_tuned"),
+        (cell(OWN | PAPER, "merge_paper"), "ippo merge_paper, algo.lr=0.0005"),
+        (cell(OWN | PAPER | {"algo.lr": "1"}, "merge_paper"), "ippo merge_paper, algo.lr=1"),
+        (cell(OWN | {"algo.lr": "0.1"}, "none"), "ippo without preset"),
+    ],
+    "one preset needs no name": [
+        (cell(PAPER | {"algo.lr": "1"}, "merge_paper"), "ippo, algo.lr=1"),
+        (cell(PAPER | {"algo.lr": "2"}, "merge_paper"), "ippo, algo.lr=2"),
+    ],
+    "an unknown preset": [
+        (cell({"algo.lr": "1"}), "ippo, algo.lr=1"),
+        (cell({"algo.lr": "2"}, "merge_paper"), "ippo, algo.lr=2"),
+    ],
+    "presets distinguish tasks with different arguments": [
+        (cell(AGGREGATE, "bus_tuned"), "ippo on bus bus_tuned"),
+        (cell(WHOLE, "paper"), "ippo on bus paper"),
+    ],
+    "two presets of the same environment are on one task": [
+        (cell(AGGREGATE, "bus_tuned"), "ippo bus_tuned on bus, state=aggregate"),
+        (cell(WHOLE, "paper"), "ippo paper on bus, state=whole"),  # named as elsewhere
+        (cell(AGGREGATE | PAPER, "bus_own"), "ippo bus_own on bus, state=aggregate"),
+    ],
+    "candidates, whose settings stay out unless their cells differ": [
+        (cell({"algo.lr": "1", "algo.clip": "0.1"}, candidate="short"), "ippo: short, algo.lr=1"),
+        (cell({"algo.lr": "2", "algo.clip": "0.1"}, candidate="short"), "ippo: short, algo.lr=2"),
+        (cell({"algo.lr": "1", "algo.clip": "0.3"}, candidate="long, own"), "ippo: long, own"),
+    ],
+    "a cell outside the search": [
+        (cell({"algo.lr": "1"}, candidate="short"), "ippo, algo.lr=1"),
+        (cell({"algo.lr": "2"}, candidate="long"), "ippo, algo.lr=2"),
+        (cell({"algo.lr": "4"}), "ippo, algo.lr=4"),
+    ],
+    "arguments of a task, without their prefix": [
+        (cell({"env.args.kept": "True", "env.args.steps": "9"}), "ippo on bus, kept=True, steps=9"),
+        (cell({"env.args.kept": "False", "env.args.steps": "9"}), "ippo on bus, kept=False, steps=9"),
+        (cell({"env.args.kept": "False"}), "ippo on bus, kept=False, without steps"),
+    ],
+}
+
+
+@pytest.mark.parametrize("named", NAMED.values(), ids=NAMED)
+def test_cells_are_named_by_their_differences(named: list[tuple[CellChoice, str]]) -> None:
+    assert labels_of(each for each, _ in named) == [label for _, label in named]
+
+
+def test_a_name_lists_the_first_of_many_differing_settings() -> None:
     many = {f"algo.key_{place}": "1" for place in range(9)}
-    for parameters in (many, dict.fromkeys(many, "2")):
-        keep_run(tmp_path, 0, "FINISHED", policies="shared", **parameters)
-    assert list(labelled_cells(RunIndex(tmp_path).rows())) == [
+    two = [cell(many), cell(dict.fromkeys(many, "2"))]
+    assert labels_of(two) == [
         f"ippo, algo.key_0={value}, algo.key_1={value}, algo.key_2={value}, 6 settings more"
         for value in (1, 2)
     ]
     # One that differs from the first in the last setting only: now all must be named.
-    keep_run(tmp_path, 0, "FINISHED", policies="shared", **{**many, "algo.key_8": "2"})
-    labels = list(labelled_cells(RunIndex(tmp_path).rows()))
+    labels = labels_of([*two, cell({**many, "algo.key_8": "2"})])
     assert len(set(labels)) == 3
     assert all("algo.key_8" in label for label in labels)
-
-
-TUNED = {"algo.lr": "0.002", "algo.gamma": "0.98", "env.training_args.reward.scope": "regional"}
-PAPER = {"algo.lr": "0.0005", "algo.gamma": "0.99", "algo.clip": "0.2"}
-
-
-def test_cells_of_several_presets_are_named_by_these(tmp_path: Path) -> None:
-    """Settings of the presets stay out of the names; others appear if they distinguish cells."""
-    keep_run(tmp_path, 0, "FINISHED", preset="merge_tuned", policies="shared", **TUNED)
-    keep_run(tmp_path, 0, "FINISHED", preset="merge_paper", policies="independent", **PAPER)
-    keep_run(
-        tmp_path, 0, "FINISHED", preset="merge_paper", policies="independent", **PAPER | {"algo.lr": "1"}
-    )
-    keep_run(tmp_path, 0, "FINISHED", preset="none", policies="independent", **{"algo.lr": "0.1"})
-    names = cell_names(RunIndex(tmp_path).rows()).values()
-    assert [name.controller for name in names] == [
-        "ippo merge_tuned",
-        "ippo merge_paper, algo.lr=0.0005",
-        "ippo merge_paper, algo.lr=1",
-        "ippo without preset",
-    ]
-    assert {name.task for name in names} == {"bus"}
-
-
-def test_one_preset_needs_no_name(tmp_path: Path) -> None:
-    for rate in ("1", "2"):
-        keep_run(tmp_path, 0, "FINISHED", preset="merge_paper", **PAPER | {"algo.lr": rate})
-    names = cell_names(RunIndex(tmp_path).rows()).values()
-    assert sorted(name.label for name in names) == ["ippo, algo.lr=1", "ippo, algo.lr=2"]
 
 
 def test_a_cell_is_named_by_the_preset_that_one_of_its_runs_records(tmp_path: Path) -> None:
@@ -179,58 +190,8 @@ def test_a_cell_is_named_by_the_preset_that_one_of_its_runs_records(tmp_path: Pa
     assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo merge_paper", "ippo merge_tuned"]
 
 
-def test_the_cells_of_a_search_are_named_by_its_candidates(tmp_path: Path) -> None:
-    """Settings of a candidate stay out of the names unless its cells differ."""
-    for rate in ("1", "2"):
-        keep_run(tmp_path, 0, "FINISHED", candidate="short", **{"algo.lr": rate, "algo.clip": "0.1"})
-    keep_run(tmp_path, 0, "FINISHED", candidate="long, own reward", **{"algo.lr": "1", "algo.clip": "0.3"})
-    assert set(labelled_cells(RunIndex(tmp_path).rows())) == {
-        "ippo: short, algo.lr=1",
-        "ippo: short, algo.lr=2",
-        "ippo: long, own reward",
-    }
-    keep_run(tmp_path, 0, "FINISHED", **{"algo.lr": "4", "algo.clip": "0.3"})  # outside the search
-    assert "ippo, algo.clip=0.1, algo.lr=1" in labelled_cells(RunIndex(tmp_path).rows())
-
-
 def test_a_cell_is_named_by_the_candidate_that_its_newest_run_records(tmp_path: Path) -> None:
     keep_run(tmp_path, 0, "FINISHED", "2020-01-01T00:00:00+00:00", **{"algo.lr": "1"})
     keep_run(tmp_path, 1, "FINISHED", candidate="short", **{"algo.lr": "1"})
     keep_run(tmp_path, 0, "FINISHED", candidate="long", **{"algo.lr": "2"})
     assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo: long", "ippo: short"]
-
-
-def test_arguments_of_a_task_have_the_names_of_its_environment(tmp_path: Path) -> None:
-    for supervisor in ("True", "False"):
-        keep_run(tmp_path, 0, "FINISHED", **{"env.args.supervisor": supervisor, "env.args.steps": "9"})
-    keep_run(tmp_path, 0, "FINISHED", **{"env.args.supervisor": "False"})
-    names = cell_names(RunIndex(tmp_path).rows()).values()
-    assert {name.task for name in names} == {
-        "bus, supervisor=True, steps=9",
-        "bus, supervisor=False, steps=9",
-        "bus, supervisor=False, without steps",
-    }
-
-
-def test_cells_are_named_by_settings_if_a_preset_is_unknown(tmp_path: Path) -> None:
-    keep_run(tmp_path, 0, "FINISHED", **{"algo.lr": "1"})
-    keep_run(tmp_path, 0, "FINISHED", preset="merge_paper", **{"algo.lr": "2"})
-    assert list(labelled_cells(RunIndex(tmp_path).rows())) == ["ippo, algo.lr=1", "ippo, algo.lr=2"]
-
-
-def test_presets_distinguish_environments_with_different_arguments(tmp_path: Path) -> None:
-    """Two presets of the same environment are on one task."""
-    aggregate, whole = {"env.args.state": "aggregate"}, {"env.args.state": "whole"}
-    keep_run(tmp_path, 0, "FINISHED", preset="bus_tuned", **aggregate)
-    keep_run(tmp_path, 0, "FINISHED", preset="paper", **whole)
-    assert {name.label for name in cell_names(RunIndex(tmp_path).rows()).values()} == {
-        "ippo on bus bus_tuned",
-        "ippo on bus paper",
-    }
-    keep_run(tmp_path, 0, "FINISHED", preset="bus_tuned_independent", **aggregate, **PAPER)
-    names = cell_names(RunIndex(tmp_path).rows()).values()
-    assert {(name.controller, name.task) for name in names} == {
-        ("ippo bus_tuned", "bus, state=aggregate"),
-        ("ippo paper", "bus, state=whole"),  # named as elsewhere
-        ("ippo bus_tuned_independent", "bus, state=aggregate"),
-    }

@@ -2,11 +2,10 @@
 
 import gymnasium
 import numpy as np
-import pytest
 
 from headway.adapters.gymnasium import GymnasiumBatch
 from headway.adapters.pettingzoo import episode_seed
-from headway.contracts import Box, Discrete, HeadwayError
+from headway.contracts import Box, Discrete
 
 SEEDS = np.array([3, 4], dtype=np.uint64)
 
@@ -41,8 +40,3 @@ def test_a_time_limit_truncates() -> None:
     assert not outcome.terminated.any()
     assert observed.alive.all()
     assert not np.array_equal(outcome.final_observations, observed.observations)
-
-
-def test_observations_other_than_box_are_refused() -> None:
-    with pytest.raises(HeadwayError, match=r"'FrozenLake-v1': agent 'agent' observes a Discrete\(16\)"):
-        GymnasiumBatch(lambda: gymnasium.make("FrozenLake-v1"), 1, "FrozenLake-v1")

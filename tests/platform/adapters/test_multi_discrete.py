@@ -2,15 +2,15 @@
 
 import math
 from contextlib import closing
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from dials import CHOICES, ENTRY, DialsConfig, parallel_env
+from dials import CHOICES, ENTRY, DialsConfig
 
 from headway.adapters.conformance import CHECKS, play
-from headway.adapters.parallel_entry import AdapterOptions
-from headway.contracts import BatchedEnv, HeadwayError, MultiDiscrete, RandomRule
+from headway.contracts import BatchedEnv, MultiDiscrete, RandomRule
 from headway.rollout.episodes import evaluate_rule
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
@@ -27,10 +27,7 @@ def dials(prepared: object, copies: int) -> BatchedEnv:
 
 @pytest.mark.parametrize("check", CHECKS)
 def test_the_contract_is_kept(check: str) -> None:
-    def make(copies: int) -> BatchedEnv:
-        return dials(None, copies)
-
-    CHECKS[check](make, play(make))
+    CHECKS[check](partial(dials, None), play(partial(dials, None)))
 
 
 def test_masks_of_the_choices_follow_one_another() -> None:
@@ -47,32 +44,12 @@ def test_masks_of_the_choices_follow_one_another() -> None:
     assert infos["agent_0"]["action_mask"].shape == (sum(CHOICES),)
 
 
-def test_a_choice_without_an_allowed_option_is_an_error() -> None:
-    def stuck() -> Any:  # noqa: ANN401 - PettingZoo comes without types
-        env = parallel_env(DialsConfig())
-        draw = env._draw
-
-        def without_the_first_dial() -> Any:  # noqa: ANN401
-            seen, infos = draw()
-            infos["agent_1"]["action_mask"][: CHOICES[0]] = 0
-            return seen, infos
-
-        env._draw = without_the_first_dial  # type: ignore[method-assign]
-        return env
-
-    with pytest.raises(HeadwayError, match="agent 'agent_1' of copy 0 without an allowed action at step 0"):
-        AdapterOptions().adapt(stuck, 1, "dials").reset(np.zeros(1, np.uint64))
-
-
-def random_return() -> float:
-    rows = evaluate_rule(dials, lambda prepared: RandomRule(), None, 77, 100)
-    return float(np.mean([float(row["return"]) for row in rows]))
-
-
 def test_random_play_draws_allowed_options_uniformly() -> None:
     """One in four is right; the environment refuses those forbidden."""
+    rows = evaluate_rule(dials, lambda prepared: RandomRule(), None, 77, 100)
+    mean = np.mean([float(row["return"]) for row in rows])
     deviation = math.sqrt(STEPS * 0.25 * 0.75 / 200)  # of the mean over 100 episodes of two agents
-    assert abs(random_return() - STEPS / 4) < 5 * deviation
+    assert abs(mean - STEPS / 4) < 5 * deviation
 
 
 @pytest.mark.parametrize(
@@ -81,16 +58,11 @@ def test_random_play_draws_allowed_options_uniformly() -> None:
         ("ippo", {}, "none"),
         pytest.param("mappo", {"critic_actions": "others"}, "none", marks=pytest.mark.slow),
         ("itrpo", {"kl_bound": 0.1}, "none"),
-        pytest.param("ia2c", {"lr": 3e-2}, "none", marks=pytest.mark.slow),
         pytest.param("maacktr", {"lr": 0.25, "kl_bound": 0.1}, "none", marks=pytest.mark.slow),
-        pytest.param("happo", {"policies": "independent"}, "none", marks=pytest.mark.slow),
-        pytest.param("mappo", {"critic_actions": "others"}, "gru", marks=pytest.mark.slow),
         pytest.param("itrpo", {"kl_bound": 0.1}, "gru", marks=pytest.mark.slow),
     ],
 )
-def test_every_update_learns_to_make_both_choices_right(
-    algorithm: str, settings: dict[str, Any], core: str
-) -> None:
+def test_every_update_learns_both_choices(algorithm: str, settings: dict[str, Any], core: str) -> None:
     """At least 0.95 of the optimum, where random play has a quarter."""
     entry, seeds, iterations = ENTRIES[algorithm], (0,), 12
     config = entry.config(**{

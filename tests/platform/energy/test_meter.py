@@ -11,16 +11,17 @@ import pytest
 
 from headway.config.experiment import EnergyConfig
 from headway.contracts import HeadwayError
-from headway.energy import Energy, EnergyMeter, JobUsage, meter
+from headway.energy import meter
 from headway.energy.gpu import gpu_shares
-from headway.energy.ledger import EnergyLedger, Increment
+from headway.energy.ledger import Energy, EnergyLedger, JobUsage
+from headway.energy.meter import EnergyMeter
 
 GIB = 2**30
 PARTS = ("cpu_kwh", "gpu_kwh", "ram_kwh", "kg_co2")
 
 
-def _increment(cpu: float, gpu: float, ram: float) -> Increment:
-    return Increment(cpu, gpu, ram, 0.1 * (cpu + gpu + ram))
+def _increment(cpu: float, gpu: float, ram: float) -> Energy:
+    return Energy(cpu, gpu, ram, 0.1 * (cpu + gpu + ram))
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -84,7 +85,7 @@ def test_cpu_seconds_before_the_measurement_are_not_charged() -> None:
 def test_an_unknown_part_is_none_and_never_zero() -> None:
     ledger = EnergyLedger(0.0, cores=1, memory_bytes=GIB)
     ledger.record(1.0, {"job": JobUsage(1.0, GIB)}, {"job": 1.0})
-    ledger.close_interval(1.0, Increment(None, None, 2.0, 0.2))
+    ledger.close_interval(1.0, Energy(None, None, 2.0, 0.2))
     energy = ledger.settle("job")
     assert (energy.cpu_kwh, energy.gpu_kwh, energy.ram_kwh, energy.kwh) == (None, None, 2.0, 2.0)
     assert "cpu_kwh" not in energy.as_row()
@@ -155,7 +156,8 @@ def refuse(*arguments):
     os._exit(3)
 socket.socket.connect = socket.socket.connect_ex = socket.getaddrinfo = refuse
 from headway.config.experiment import EnergyConfig
-from headway.energy import EnergyMeter, JobUsage
+from headway.energy.ledger import JobUsage
+from headway.energy.meter import EnergyMeter
 assert not {"codecarbon", "pynvml"} & set(sys.modules)
 began = time.perf_counter()
 meter = EnergyMeter.start(EnergyConfig(country="FRA"))
@@ -186,15 +188,8 @@ def test_real_codecarbon_offline_and_quiet(tmp_path: Path) -> None:
         "[codecarbon]\nemissions_endpoint=http://127.0.0.1:9\nsave_to_api=true\nco2_signal_api_token=x\n"
         "save_to_file=true\nlog_level=debug\ncloud_provider=aws\ncloud_region=us-east-1\n"
     )
-    environment = {**os.environ, "HOME": str(tmp_path)}
-    session = subprocess.run(
-        [sys.executable, "-c", _SESSION],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env=environment,
-        check=False,
-    )
+    command, home = [sys.executable, "-c", _SESSION], {**os.environ, "HOME": str(tmp_path)}
+    session = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=home, check=False)
     assert session.returncode == 0, session.stderr
     assert session.stderr == ""
     result = json.loads(session.stdout)

@@ -8,7 +8,6 @@ import pytest
 from numpy.typing import NDArray
 from rehearsal import parameters_of, plan_of_toy
 
-from headway.adapters.pettingzoo import ParallelEnvBatch
 from headway.contracts import (
     BatchedEnv,
     Discrete,
@@ -27,8 +26,6 @@ from headway.rollout.episodes import EvaluationRequest, evaluate_policy, evaluat
 from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, Shard
 from headway.rollout.policy_player import PolicyPlayer
 from headway.rollout.sampler import Episode, Sampler
-from headway_envs.toy.trivial import TrivialConfig
-from headway_envs.toy.trivial_parallel import TrivialParallel
 
 AGENTS = 2
 
@@ -192,25 +189,21 @@ def test_seeds_and_noise_belong_to_global_copies() -> None:
         assert not trajectory.alive[:, row].any()
 
 
-@pytest.mark.parametrize(("copies", "block", "rows"), [(5, 2, [6, 6, 3]), (4, 4, [12]), (3, 1, [3, 3, 3])])
-def test_actions_are_computed_in_blocks_of_all_replicas(copies: int, block: int, rows: list[int]) -> None:
+@pytest.mark.parametrize(
+    ("copies", "block", "rows", "state"), [(5, 2, [6, 6, 3], 1), (4, 4, [12], 1), (3, 1, [3, 3, 3], 0)]
+)
+def test_actions_come_in_blocks_of_all_replicas(copies: int, block: int, rows: list[int], state: int) -> None:
     policy = StepPolicy([])
     plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, policy, (5, 6, 7), copies, 4, block)
     shown = np.arange(3 * copies * AGENTS * 3, dtype=np.float32).reshape(-1, AGENTS, 3)
-    observed = Observations(shown, np.zeros((len(shown), 1), np.float32), np.ones(shown.shape[:2], np.bool_))
+    observed = Observations(
+        shown, np.zeros((len(shown), state), np.float32), np.ones(shown.shape[:2], np.bool_)
+    )
     noise = shown[..., 0].astype(np.float64)
     actions, log_probs = PolicyPlayer(plan, copies, block).act({}, observed, noise)
     assert policy.rows == rows
     np.testing.assert_array_equal(actions, shown[..., 2])
     np.testing.assert_array_equal(log_probs, noise)
-
-
-def test_blocks_are_cut_without_a_state_too() -> None:
-    plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, StepPolicy([]), (5, 6), 4, 4, 2)
-    shown = np.arange(8 * AGENTS * 3, dtype=np.float32).reshape(-1, AGENTS, 3)
-    observed = Observations(shown, np.zeros((8, 0), np.float32), np.ones(shown.shape[:2], np.bool_))
-    actions, _ = PolicyPlayer(plan, 4, 2).act({}, observed, None)
-    np.testing.assert_array_equal(actions, shown[..., 2])
 
 
 def test_evaluation_plays_first_episodes_on_seeds_of_their_own() -> None:
@@ -239,16 +232,8 @@ def test_evaluation_plays_first_episodes_on_seeds_of_their_own() -> None:
     assert steps == [(step, int(step > 1)) for copies in (10, 10, 4) for step in range(1, copies + 2)]
     assert [row["episode_seed"] for row in played] == list(range(24))
     made.pop(0)  # made to read the limit of copies
-    assert (
-        np.concatenate([env.seeds for env in made]).tolist() == child_seeds(77, "evaluation", 0, 24).tolist()
-    )
-
-
-@pytest.mark.parametrize(("episodes", "counts"), [(1, [1]), (10, [10]), (23, [10, 10, 3])])
-def test_evaluation_is_split_into_the_same_blocks_everywhere(episodes: int, counts: list[int]) -> None:
-    requests = EvaluationRequest.split(77, episodes, greedy=False, block=EVALUATION_BLOCK)
-    assert [request.count for request in requests] == counts
-    assert [request.first for request in requests] == [sum(counts[:i]) for i in range(len(counts))]
+    faced = np.concatenate([env.seeds for env in made])
+    assert faced.tolist() == child_seeds(77, "evaluation", 0, 24).tolist()
 
 
 def test_training_arguments_are_used_for_sampling_and_never_for_evaluation() -> None:
@@ -278,33 +263,6 @@ def test_sampled_evaluation_depends_on_the_seed_and_greedy_does_not_draw() -> No
     sampled = evaluate_policy(plan, parameters, EvaluationRequest(77, 0, 5, greedy=False))
     assert sampled[0] != sampled[1]
     assert [row["length"] for row in sampled[0]] == [row["length"] for row in greedy[0]]  # the same days
-
-
-class NanAtThree(TrivialParallel):
-    """The second agent's reward is NaN at step 3."""
-
-    def step(self, actions: dict[str, Any]) -> Any:  # noqa: ANN401 - as PettingZoo has it
-        observations, rewards, *rest = super().step(actions)
-        if self._step == 3:
-            rewards[self.possible_agents[1]] = np.nan
-        return observations, rewards, *rest
-
-
-def test_nan_of_an_adapted_environment_is_reported_with_global_copy_and_seed() -> None:
-    def make(prepared: object, copies: int) -> BatchedEnv:
-        return ParallelEnvBatch(
-            lambda: NanAtThree(TrivialConfig(agents=3)), copies, "trivial", shared_reward=True
-        )
-
-    plan = replace(plan_of_toy("trivial", seeds=(5, 6)), make_env=make, spec=make(None, 1).spec)
-    trajectory = Trajectory.allocate(TrajectoryLayout(plan.spec, plan.steps, 2 * plan.copies))
-    sampler = Sampler(plan, Shard(0, 2, 1, 2), trajectory)  # a worker's part: copies 1 and 2
-    sampler.begin()
-    agent = plan.spec.agents[1]
-    with pytest.raises(
-        HeadwayError, match=f"nan as reward of agent {agent} in copy 1 of seed 5 at step 3; .*gets 0"
-    ):
-        sampler.collect(1, parameters_of(plan))
 
 
 def test_a_random_rule_does_not_repeat_its_draws_in_the_next_block() -> None:

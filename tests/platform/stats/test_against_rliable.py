@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from rliable import library, metrics
 
-from headway.stats import (
+from headway.stats.scores import (
     interquartile_mean,
     performance_profile,
     probability_of_improvement,

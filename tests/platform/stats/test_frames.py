@@ -4,7 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from headway.stats import frames, interquartile_mean, mean_and_half_width, normalised
+from headway.stats import frames
+from headway.stats.intervals import mean_and_half_width
+from headway.stats.scores import interquartile_mean, normalised
 
 
 def scores(**by_controller: dict[str, list[float]]) -> pd.DataFrame:
@@ -119,12 +121,8 @@ def test_costs_are_of_measured_runs_only() -> None:
         ]
     )
     found = frames.costs(summaries)
-    assert found.loc[("bus", "a"), ["runs", "kwh", "kwh_std", "cpu_seconds"]].tolist() == [
-        2,
-        2,
-        np.sqrt(2),
-        5,
-    ]
+    of_a = found.loc[("bus", "a"), ["runs", "kwh", "kwh_std", "cpu_seconds"]]
+    assert of_a.tolist() == [2, 2, np.sqrt(2), 5]
     assert np.isnan(found.loc[("bus", "b"), "kwh_std"])
     assert found["gpu_kwh"].isna().all()
     assert frames.costs(summaries.assign(kwh=None)).empty

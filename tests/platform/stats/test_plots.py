@@ -18,6 +18,8 @@ from headway.stats.plots import (
     reward_components,
 )
 
+FOOTPRINT = ["kg_co2", "kwh", "cpu_kwh", "gpu_kwh", "ram_kwh", "cpu_seconds"]
+FOOTPRINT += ["kg_co2_std", "kwh_std", "cpu_seconds_std"]
 LONG = "mappo, algo.model.hidden [128, 128, 128], algo.gae_lambda 0.95, 6 settings more, cell {}"
 
 
@@ -75,10 +77,8 @@ def test_plots_of_twelve_cells_with_long_names_are_readable(kind: str) -> None:
         ]
         figure = performance_profiles(pd.DataFrame(rows), "final reward", styles)
     elif kind == "footprint":
-        columns = ["kg_co2", "kwh", "cpu_kwh", "gpu_kwh", "ram_kwh", "cpu_seconds"]
-        columns += ["kg_co2_std", "kwh_std", "cpu_seconds_std"]
         units = {"kg_co2": ("mg", 1e6), "kwh": ("mWh", 1e6)}
-        figure = footprint(pd.DataFrame(1e-6, index=names, columns=columns), units)
+        figure = footprint(pd.DataFrame(1e-6, index=names, columns=FOOTPRINT), units)
     elif kind == "cost":
         runs = pd.DataFrame({"task": "t", "controller": names, "score": 1.0, "kwh": range(12)})
         figure = reward_against_cost(runs, "kwh", 1.0, ("kWh a run", "final reward"), styles)
@@ -89,19 +89,14 @@ def test_plots_of_twelve_cells_with_long_names_are_readable(kind: str) -> None:
 
 
 def test_a_footprint_without_co2_has_no_panel_for_it() -> None:
-    columns = ["kg_co2", "kwh", "cpu_kwh", "gpu_kwh", "ram_kwh", "cpu_seconds"]
-    columns += ["kg_co2_std", "kwh_std", "cpu_seconds_std"]
-    energy = pd.DataFrame(1e-6, index=["a", "b"], columns=columns)
+    energy = pd.DataFrame(1e-6, index=["a", "b"], columns=FOOTPRINT)
     unknown = energy.assign(kg_co2=math.nan, kg_co2_std=math.nan)
     units = {"kwh": ("mWh", 1e6)}
     labels = ["(a) mWh per run", "(b) CPU s per run"]
     assert [axes.get_xlabel() for axes in footprint(unknown, units).axes] == labels
     three = footprint(energy, {**units, "kg_co2": ("mg", 1e6)})
-    assert [axes.get_xlabel() for axes in three.axes] == [
-        "(a) mg CO2eq per run",
-        "(b) mWh per run",
-        "(c) CPU s per run",
-    ]
+    labels = ["(a) mg CO2eq per run", "(b) mWh per run", "(c) CPU s per run"]
+    assert [axes.get_xlabel() for axes in three.axes] == labels
 
 
 def test_components_that_are_always_0_have_no_panel() -> None:

@@ -3,11 +3,8 @@
 import csv
 from pathlib import Path
 
-import pytest
-
-from headway.contracts import HeadwayError
-from headway.store import RunLog
 from headway.store.artifacts import write_views
+from headway.store.parquet_log import RunLog
 
 
 def test_evaluations_become_a_table_and_curves_a_picture(tmp_path: Path) -> None:
@@ -29,9 +26,3 @@ def test_evaluations_become_a_table_and_curves_a_picture(tmp_path: Path) -> None
 def test_a_run_without_a_curve_has_no_views(tmp_path: Path) -> None:
     write_views(tmp_path, "a run")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_broken_log_is_a_headway_error(tmp_path: Path) -> None:
-    (tmp_path / "curve-000001.parquet").write_text("broken")
-    with pytest.raises(HeadwayError, match="cannot be read as Parquet"):
-        write_views(tmp_path, "a run")

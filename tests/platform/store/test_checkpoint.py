@@ -49,10 +49,8 @@ def test_state_comes_back_exactly(tmp_path: Path) -> None:
 def test_the_last_two_are_kept(tmp_path: Path) -> None:
     for iteration in (20, 40, 60):
         save_checkpoint(tmp_path, iteration, {"at": iteration})
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "checkpoint-000040.pt",
-        "checkpoint-000060.pt",
-    ]
+    kept = sorted(path.name for path in tmp_path.iterdir())
+    assert kept == ["checkpoint-000040.pt", "checkpoint-000060.pt"]
     assert latest_iteration(tmp_path) == 60
 
 

@@ -103,9 +103,7 @@ def test_a_busy_gate_is_closed_now_and_removed_later(tmp_path: Path, monkeypatch
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_removal_waits_between_attempts_and_names_the_gate(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_removal_is_tried_again_and_names_the_gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     open_gate(tmp_path)
     pauses: list[float] = []
     monkeypatch.setattr("time.sleep", pauses.append)

@@ -17,17 +17,7 @@ from headway.store.run_folder import Process, RunRecord, create_run_folder, now
 
 def _run(root: Path, seed: int, study: str = "study", **summary: float | None) -> Path:
     run_id, directory = create_run_folder(root, study, "bus-mappo", seed)
-    record = RunRecord(
-        run_id=run_id,
-        study=study,
-        environment="bus",
-        algorithm="mappo",
-        seed=seed,
-        iterations=10,
-        started=now(),
-        session=Process.current(),
-        status="FINISHED",
-    )
+    record = RunRecord(run_id, study, "bus", "mappo", seed, 10, now(), Process.current(), "FINISHED")
     record.write(directory)
     write_json(directory / "summary.json", summary)
     return directory
@@ -120,7 +110,8 @@ _QUERY = """
 import sys
 from pathlib import Path
 from headway.store.index import RunIndex
-print(len(RunIndex(Path(sys.argv[1])).rows()), {"pandas", "mlflow", "pyarrow", "torch"} & set(sys.modules))
+heavy = {"pandas", "mlflow", "pyarrow", "torch", "scipy"}
+print(len(RunIndex(Path(sys.argv[1])).rows()), heavy & set(sys.modules))
 """
 
 

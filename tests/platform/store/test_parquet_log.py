@@ -43,11 +43,7 @@ def test_columns_have_three_types_and_may_differ_between_segments(tmp_path: Path
     assert frame["return"].dtype == np.float64
     assert list(frame["mode"]) == ["sampled", "greedy"]
     assert np.isnan(frame["return"][0])
-    assert parquet_log.read_rows(tmp_path, "evaluation")[0] == {
-        "iteration": 1,
-        "mode": "sampled",
-        "length": 7,
-    }
+    assert parquet_log.read_rows(tmp_path, "evaluation")[0] == sampled
 
 
 def test_an_integer_column_may_become_floats_later(tmp_path: Path) -> None:
@@ -92,9 +88,7 @@ def test_text_and_numbers_do_not_mix(tmp_path: Path) -> None:
         run.commit(1)
 
 
-def test_a_full_disk_is_a_one_line_error_and_loses_no_rows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_one_line_and_loses_no_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = RunLog(tmp_path)
     run.append("curve", [{"iteration": 1}])
     run.commit(1)
@@ -156,7 +150,6 @@ def test_a_broken_segment_is_named(tmp_path: Path) -> None:
 _WRITER = """
 import sys
 from pathlib import Path
-from typing import Any
 from headway.store.parquet_log import RunLog
 run = RunLog(Path(sys.argv[1]))
 for iteration in range(1, 100_000):
@@ -168,9 +161,8 @@ for iteration in range(1, 100_000):
 
 
 def test_a_killed_writer_leaves_complete_segments(tmp_path: Path) -> None:
-    writer = subprocess.Popen(
-        [sys.executable, "-c", _WRITER, str(tmp_path)], stdout=subprocess.PIPE, text=True
-    )
+    command = [sys.executable, "-c", _WRITER, str(tmp_path)]
+    writer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert writer.stdout is not None
     acknowledged = [int(writer.stdout.readline()) for _ in range(25)][-1]
     writer.send_signal(signal.SIGKILL)

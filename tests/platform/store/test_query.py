@@ -9,10 +9,11 @@ import pytest
 from pyarrow.parquet import ParquetFile
 
 from headway.contracts import HeadwayError
-from headway.store import RunLog, RunRecord, Status, select
 from headway.store.atomic_files import write_json, write_text
 from headway.store.energy_log import EnergyLog
-from headway.store.run_folder import Process, cell_name, create_run_folder, now, rules_file
+from headway.store.parquet_log import RunLog
+from headway.store.query import select
+from headway.store.run_folder import Process, RunRecord, Status, cell_name, create_run_folder, now, rules_file
 
 
 def keep_run(
@@ -108,11 +109,7 @@ def test_every_frame_has_labels(root: Path) -> None:
     }
     for name, (frame, rows) in frames.items():
         assert len(frame) == rows, name
-        assert set(frame["controller"]) == {
-            "ippo",
-            "mappo, algo.lr=0.1",
-            "mappo, algo.lr=0.2",
-        }, name
+        assert set(frame["controller"]) == {"ippo", "mappo, algo.lr=0.1", "mappo, algo.lr=0.2"}, name
         assert set(frame["task"]) == {"bus"}, name
     assert frames["summaries"][0]["cpu_seconds"].tolist() == [2.0] * 4
     assert set(frames["provenance"][0]["version.headway"]) == {"1.2"}
@@ -145,20 +142,13 @@ def test_rules_shared_by_cells_appear_once(root: Path) -> None:
 
 def test_without_runs_frames_are_empty_and_have_labels(root: Path) -> None:
     nothing = select(root, status="RUNNING")
-    for frame in (
-        nothing.runs(),
-        nothing.curves(["x"]),
-        nothing.episodes(),
-        nothing.energy(),
-        nothing.rules(),
-    ):
+    frames = [nothing.runs(), nothing.curves(["x"]), nothing.episodes(), nothing.energy(), nothing.rules()]
+    for frame in frames:
         assert frame.empty
         assert "task" in frame
 
 
-def test_each_log_is_opened_once_and_one_record_per_cell_is_read(
-    root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_log_is_opened_once_and_one_record_per_cell(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for seed in range(2, 12):
         keep_run(root, "ippo", seed)
     chosen = select(root, study="bus", algorithm="ippo")

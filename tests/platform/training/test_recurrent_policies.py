@@ -1,12 +1,15 @@
 """Recurrent policies: one seed gives one curve, whatever the backend, interruptions and failures."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rehearsal import (
+    Arrays,
     FaultConfig,
     FaultyVisitors,
     Taken,
@@ -19,7 +22,7 @@ from rehearsal import (
 )
 from runs import Log, job_of, logs_of, trained
 
-from headway.contracts import StepResult, Trajectory
+from headway.contracts import Trajectory
 from headway.contracts.acting_policy import hidden_size
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.policy_player import PolicyPlayer
@@ -32,11 +35,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Log:
     job = job_of(tmp_path_factory.mktemp("whole"), core="gru")
     trained(job)
     return logs_of(job)[0]
-
-
-def test_worker_processes_change_nothing(whole: Log, tmp_path: Path) -> None:
-    trained(job := job_of(tmp_path, backend="process", core="gru"))
-    assert logs_of(job) == [whole]
 
 
 def test_a_killed_worker_changes_nothing(whole: Log, tmp_path: Path) -> None:
@@ -70,16 +68,16 @@ def test_hidden_states_continue_between_iterations_and_end_with_a_stream() -> No
     """Three iterations of 20 steps equal one of 60 if the noise is the same."""
     short = _steadily(plan_of_toy("visitors", seeds=(5, 6), steps=20, core="gru"), 3)
     long = _steadily(plan_of_toy("visitors", seeds=(5, 6), steps=60, core="gru"), 1)[0]
-    joined = np.concatenate([part.log_probs for part in short])
-    alive = long.alive[:-1]
-    np.testing.assert_array_equal(joined[alive], long.log_probs[alive])
-    ended = (long.terminated | long.truncated)[[19, 39]]
+    joined = np.concatenate([part["log_probs"] for part in short])
+    alive = long["alive"][:-1]
+    np.testing.assert_array_equal(joined[alive], long["log_probs"][alive])
+    ended = (long["terminated"] | long["truncated"])[[19, 39]]
     for row, part in zip(ended, short[1:], strict=True):
-        np.testing.assert_array_equal(part.begins[0], row)
-        assert not part.hidden_states[0][row].any()
-        assert part.hidden_states[0].any()
-    assert short[0].begins.all()
-    assert not short[0].hidden_states.any()
+        np.testing.assert_array_equal(part["begins"][0], row)
+        assert not part["hidden_states"][0][row].any()
+        assert part["hidden_states"][0].any()
+    assert short[0]["begins"].all()
+    assert not short[0]["hidden_states"].any()
     assert ended.any()
 
 
@@ -88,18 +86,11 @@ class _Steady(GRUActingPolicy):
         return np.full((steps, self.perceptron.spec.num_agents), 0.5)
 
 
-def _steadily(plan: RolloutPlan, iterations: int) -> list[Trajectory]:
+def _steadily(plan: RolloutPlan, iterations: int) -> list[Arrays]:
     """Trajectories with the same noise in every iteration."""
     assert isinstance(plan.policy, GRUActingPolicy)
     plan = replace(plan, policy=_Steady(plan.policy.perceptron, plan.policy.hidden_size))
-    with collector_of(plan, "serial") as collector:
-        collector.begin()
-        found = []
-        for iteration in range(1, iterations + 1):
-            collector.collect(iteration, parameters_of(plan))
-            track = collector.trajectory
-            found.append(Trajectory(*(getattr(track, field.name).copy() for field in fields(track))))
-        return found
+    return [taken.arrays for taken in _taken(plan, iterations)]
 
 
 @pytest.mark.parametrize("block", [1, 2, 4])
@@ -140,18 +131,8 @@ def test_hidden_states_are_reset_exactly_where_terminated_or_truncated() -> None
     player = PolicyPlayer(plan, 2, 2)
     assert player.hidden_states is not None
     player.hidden_states.fill(1)
-    over, none = np.zeros((2, 3), np.bool_), np.zeros((2, 0))
+    over = np.zeros((2, 3), np.bool_)
     over[1, 1:] = True
-    player.reset_ended(
-        StepResult(
-            rewards=none,
-            terminated=over,
-            truncated=over[::-1],
-            acting=over,
-            episode_ended=over[:, 0],
-            final_observations=none,
-            final_states=none,
-            metrics=none,
-        )
-    )
+    ends: Any = SimpleNamespace(terminated=over, truncated=over[::-1])
+    player.reset_ended(ends)
     assert (player.hidden_states == 0).all(axis=2).tolist() == (over | over[::-1]).tolist()

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from covering import quick_or_slow
+from covering import pairwise, quick_or_slow
 
 from headway.contracts import Discrete, EnvSpec, Trajectory, TrajectoryLayout
 from headway_algos.batches.critic_batch import CriticBatch
@@ -117,13 +117,7 @@ def test_an_agent_away_at_the_cut_awaits_what_its_own_last_observation_is_worth(
 PAY = -1.0
 FOREVER = PAY / (1 - GAMMA)
 THREE = EnvSpec(
-    "left",
-    ("a", "b", "c"),
-    1,
-    Discrete(2),
-    groups=("x", "x", "x"),
-    shared_reward=True,
-    agents_come_and_go=True,
+    "left", tuple("abc"), 1, Discrete(2), groups=tuple("xxx"), shared_reward=True, agents_come_and_go=True
 )
 IN_GROUPS = replace(THREE, shared_reward=False, shared_in_groups=True)
 INDIVIDUAL = replace(THREE, shared_reward=False)
@@ -170,18 +164,17 @@ def _with_constant_critic(config: AlgoConfig, spec: EnvSpec, value: float) -> On
     learner = OnPolicyLearner(replace(config, normalise_values=False), spec, (1,), "cpu")
     critic = learner.critic
     assert isinstance(critic, CounterfactualCritic | ValueCritic)
-    for networks in (
-        [critic.networks, critic.target] if isinstance(critic, CounterfactualCritic) else [critic.networks]
-    ):
+    both = [critic.networks, critic.target] if isinstance(critic, CounterfactualCritic) else [critic.networks]
+    for networks in both:
         networks.network.weights[-1].data.zero_()
         networks.network.biases[-1].data.fill_(value)
     return learner
 
 
-@pytest.mark.parametrize("steps", [3, 32])
-@pytest.mark.parametrize("limit", [None, 8])
-@pytest.mark.parametrize("spec", [THREE, IN_GROUPS], ids=["team", "group"])
-@pytest.mark.parametrize("config", [IPPO, MAPPO, OTHERS, COMA], ids=["ippo", "mappo", "others", "coma"])
+@pytest.mark.parametrize(
+    ("config", "spec", "limit", "steps"),
+    pairwise([IPPO, MAPPO, OTHERS, COMA], [THREE, IN_GROUPS], [None, 8], [3, 32]),
+)
 def test_leaving_where_it_changes_nothing_has_no_advantage(
     config: AlgoConfig, spec: EnvSpec, limit: int | None, steps: int
 ) -> None:
@@ -195,9 +188,9 @@ def test_leaving_where_it_changes_nothing_has_no_advantage(
     np.testing.assert_allclose(estimate.advantages[estimate.present], 0, atol=1e-5)
 
 
-@pytest.mark.parametrize("steps", [3, 32])
-@pytest.mark.parametrize("spec", [INDIVIDUAL, THREE], ids=["individual", "team"])
-@pytest.mark.parametrize("config", [IPPO, MAPPO, OTHERS, COMA], ids=["ippo", "mappo", "others", "coma"])
+@pytest.mark.parametrize(
+    ("config", "spec", "steps"), pairwise([IPPO, MAPPO, OTHERS, COMA], [INDIVIDUAL, THREE], [3, 32])
+)
 def test_an_agent_away_as_the_rollout_ends_awaits_as_much_as_when_last_seen(
     config: AlgoConfig, spec: EnvSpec, steps: int
 ) -> None:

@@ -59,8 +59,7 @@ def _update(spec: EnvSpec, config: AlgoConfig) -> GradientUpdate:
     return a2c_update(Actor(config.model, spec, range(P), 1, DOUBLE), config, layout)
 
 
-@pytest.mark.parametrize("spec", [DISCRETE, BOX])
-@pytest.mark.parametrize("clip", [None, 0.1])
+@pytest.mark.parametrize(("spec", "clip"), [(DISCRETE, None), (BOX, 0.1)])
 def test_steps_equal_those_on_a_loss_summed_row_by_row(spec: EnvSpec, clip: float | None) -> None:
     """-E[log pi A] - c_e H over selected rows, by torch.distributions and torch.optim.Adam; two steps, so
     that moments are carried over."""

@@ -61,9 +61,8 @@ def _rows(spec: EnvSpec, actor: Actor, seed: int = 1) -> tuple[PolicyBatch, Tens
             chances = distribution.log_probs.exp().transpose(1, 2).reshape(-1, A)
             actions = torch.multinomial(chances, 1, generator=random).reshape(stack, B)
         else:
-            actions = distribution.mean.transpose(1, 2) + 0.6 * torch.randn(
-                stack, B, A, generator=random, dtype=DOUBLE
-            )
+            noise = torch.randn(stack, B, A, generator=random, dtype=DOUBLE)
+            actions = distribution.mean.transpose(1, 2) + 0.6 * noise
         log_probs = distribution.log_prob(actions)
     advantages = torch.randn(stack, B, generator=random, dtype=DOUBLE)
     return PolicyBatch(observations, masks, actions, log_probs, selected), advantages
@@ -191,18 +190,6 @@ def test_the_fisher_information_of_a_share_of_the_rows() -> None:
     update.improve(rows, advantages, [])
     for p, theta in enumerate(to_vector(update.actor.learnable).detach()):
         torch.testing.assert_close(theta, found[p].new, rtol=1e-9, atol=1e-9)
-
-
-def test_annealing_shortens_steps_by_its_share() -> None:
-    moves = []
-    for share in (1.0, 0.1):
-        update = _update(DISCRETE)
-        rows, advantages = _rows(DISCRETE, update.actor)
-        before = to_vector(parameter.detach().clone() for parameter in update.actor.learnable)
-        update.anneal(share)
-        update.improve(rows, advantages, [])
-        moves.append(to_vector(update.actor.learnable).detach() - before)
-    torch.testing.assert_close(moves[1], 0.1 * moves[0], rtol=1e-9, atol=1e-12)
 
 
 @every_space

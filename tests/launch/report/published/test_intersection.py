@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from sections import section_of, tables, words
 
-from headway_launch.report.parts import Section
+from headway_launch.report.elements import Section
 from headway_launch.report.published.episode_metrics import published_values
 from headway_launch.report.published.intersection import intersection_section
-from headway_launch.report.study_data import StudyData
 
 PAPER = "experiment=intersection_paper_ippo"
 METRICS = {"paper_return": 8e5, "outflow_vph": 600.0, "collisions": 0.5, "speed": 6.0}
@@ -75,8 +74,3 @@ def test_episodes_other_than_the_human_drivers_are_not_compared(keep_run: Keep, 
 def test_without_human_drivers_there_is_no_baseline(keep_run: Keep, root: Path) -> None:
     keep_run((PAPER,), 0, 10.0, **METRICS)
     assert "There is no baseline of human drivers" in words(section(root))
-
-
-def test_other_environments_have_no_such_section(keep_run: Keep, root: Path) -> None:
-    keep_run(("experiment=toy_tracking",), 0, 10.0)
-    assert intersection_section(StudyData(root, "study")) is None

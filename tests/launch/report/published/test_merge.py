@@ -8,7 +8,9 @@ import pytest
 from scipy import stats
 from sections import section_of, tables, words
 
-from headway_launch.report.parts import Section
+from headway_launch.report.elements import Section
+from headway_launch.report.published.bus_published import bus_published_section
+from headway_launch.report.published.intersection import intersection_section
 from headway_launch.report.published.merge import merge_section
 from headway_launch.report.study_data import StudyData
 
@@ -74,6 +76,9 @@ def test_learners_trained_on_one_of_the_tasks_only_are_reported(keep_run: Keep, 
     assert "No learner was trained on both" in words(section(root))
 
 
-def test_other_environments_have_no_such_section(keep_run: Keep, root: Path) -> None:
+@pytest.mark.parametrize("make", [merge_section, intersection_section, bus_published_section])
+def test_other_environments_have_no_such_section(
+    make: Callable[[StudyData], Section | None], keep_run: Keep, root: Path
+) -> None:
     keep_run(("experiment=toy_tracking",), 0, 10.0)
-    assert merge_section(StudyData(root, "study")) is None
+    assert make(StudyData(root, "study")) is None

@@ -13,17 +13,20 @@ from types import SimpleNamespace
 
 import psutil
 import pytest
+from command_lines import Refused
 from ray_processes import assert_gone, ray_processes
+from runs import Log, log_of
 
 from headway.config.experiment import BackendConfig
 from headway.events import CheckpointSaved, Failed, Finished, IterationFinished, Started, Usage
-from headway.store import CHECKPOINTS
 from headway.store.checkpoint import latest_iteration
 from headway.store.index import RunIndex, RunRow
-from headway.store.parquet_log import TABLES, read_rows
+from headway.store.run_folder import CHECKPOINTS
 from headway_launch.commands.main import run
+from headway_launch.experiments.compose import compose
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
-from headway_launch.runner.cores import CoreShares, gpus_of, share_cores
+from headway_launch.runner.cores import CoreShares, gpus_of, share_cores, workers_of
+from headway_launch.runner.jobs import plan_jobs
 
 needs_ray = pytest.mark.skipif(
     find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
@@ -55,19 +58,8 @@ def _runs(folder: Path) -> dict[int, RunRow]:
     return {row.seed: row for row in RunIndex(folder / "runs").rows()}
 
 
-def _tables(row: RunRow) -> dict[str, list[dict[str, str]]]:
-    """Return everything that a run logged except times, bit for bit."""
-    return {
-        table: [
-            {
-                name: float(value).hex() if isinstance(value, float) else str(value)
-                for name, value in line.items()
-                if name != "wall_s" and not name.startswith("time/")
-            }
-            for line in read_rows(Path(row.directory), table)
-        ]
-        for table in TABLES
-    }
+def _tables(row: RunRow) -> Log:
+    return log_of(row.directory)
 
 
 def _kept(folder: Path) -> int:
@@ -190,16 +182,10 @@ def test_a_killed_session_leaves_no_process(killed: Killed) -> None:
 
 
 @pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
-def test_without_ray_nothing_starts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert run(["run", *TINY, "backend=ray"]) == 2
-    assert (
-        capsys.readouterr().err
-        == 'headway: backend=ray needs Ray, which is an extra: pip install "headway[ray]"\n'
-    )
-    assert not list(tmp_path.iterdir())
+def test_without_ray_nothing_starts(empty_folder: Path, refused: Refused) -> None:
+    line = 'headway: backend=ray needs Ray, which is an extra: pip install "headway[ray]"\n'
+    assert refused("run", *TINY, "backend=ray") == line
+    assert not list(empty_folder.iterdir())
 
 
 @pytest.mark.cluster
@@ -221,12 +207,9 @@ def test_an_address_without_a_cluster_starts_nothing(
     assert not list(tmp_path.iterdir())
 
 
-def test_an_invalid_address_prints_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["run", *TINY, "backend=ray", "backend.address=nonsense"]) == 2
-    assert (
-        capsys.readouterr().err
-        == "headway: backend.address must be auto, local or HOST:PORT, not 'nonsense'\n"
-    )
+def test_an_invalid_address_prints_one_line(refused: Refused) -> None:
+    line = refused("run", *TINY, "backend=ray", "backend.address=nonsense")
+    assert line == "headway: backend.address must be auto, local or HOST:PORT, not 'nonsense'\n"
 
 
 def test_a_session_without_ray_has_no_cluster() -> None:
@@ -263,9 +246,6 @@ def test_training_processes_are_given_the_cluster_of_the_session(
 def test_workers_on_a_cluster_share_its_cpus_and_training_processes_the_cores_here(
     jobs: int, cores: int, cpus: int | None, expected: CoreShares
 ) -> None:
-    from headway_launch.experiments.compose import compose
-    from headway_launch.runner.jobs import plan_jobs
-
     planned = plan_jobs(compose(["env=trivial", "algo=ippo", f"seed=0..{jobs - 1}", "backend=ray"]))
     assert share_cores(BackendConfig("ray"), planned, cores, cpus) == expected
     whole = SessionCluster("head:1", cpus=64, node_cpus=8, learners=True)
@@ -278,7 +258,6 @@ def test_workers_on_a_cluster_share_its_cpus_and_training_processes_the_cores_he
     [
         (("backend.stack=5", "env.max_copies_per_process=1"), 10, 4, 2, 2),
         (("backend.stack=5", "env.max_copies_per_process=1"), 10, 1, 1, 2),
-        (("backend.workers=6", "rollout.copies=6", "rollout.block=1"), 6, 4, 4, 2),
         (("backend.workers=6", "rollout.copies=6", "rollout.block=1"), 6, 8, 6, 1),
         (("backend.stack=5", "env.max_copies_per_process=1"), 10, None, 0, 2),
     ],
@@ -286,10 +265,7 @@ def test_workers_on_a_cluster_share_its_cpus_and_training_processes_the_cores_he
 def test_a_run_placed_on_the_cluster_requests_at_most_the_cpus_of_a_node(
     words: tuple[str, ...], workers: int, node_cpus: int | None, requested: int, parallel: int
 ) -> None:
-    from headway_launch.experiments.compose import compose
-    from headway_launch.runner.cluster.ray_training import Placement
-    from headway_launch.runner.cores import workers_of
-    from headway_launch.runner.jobs import plan_jobs
+    from headway_launch.runner.cluster.ray_training import cpus_for
 
     bare = ["env=mpe2.simple_spread_v3", "algo=ippo", "seed=0..9", "backend=ray"]
     composed = compose([*bare, "rollout.copies=2", "rollout.block=2", *words])
@@ -299,7 +275,7 @@ def test_a_run_placed_on_the_cluster_requests_at_most_the_cpus_of_a_node(
     shares = cluster.share_cores(composed.config.backend, jobs, cores=4)
     job = replace(jobs[0].training, workers=workers_of(jobs[0], shares))
     assert job.workers == workers
-    assert Placement.of(job, node_cpus, 0.0) == Placement(requested)
+    assert cpus_for(job, node_cpus) == requested
     assert shares.parallel == parallel
 
 
@@ -332,6 +308,4 @@ def test_a_node_without_the_store_prints_one_line(tmp_path: Path) -> None:
     failed, end = host.next_events()
     assert end is None
     assert isinstance(failed, Failed)
-    assert (
-        "has no folder /nowhere/run: a sweep over a cluster needs store.root on a file system" in failed.line
-    )
+    assert "has no folder /nowhere/run: a sweep over a cluster needs store.root on a file" in failed.line

@@ -6,11 +6,13 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from command_lines import Refused
 
 from headway.contracts import HeadwayError
 from headway_launch.commands.main import run
 from headway_launch.runner.cluster.ray_nodes import wait_for_nodes
 
+pytestmark = pytest.mark.usefixtures("empty_folder")
 SWEEP = ("sweep", "env=visitors", "algo=ippo,ia2c", "study=a study", "seed=3,5..6")
 
 
@@ -25,11 +27,6 @@ def test_without_ray_waiting_for_nodes_fails_at_once(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("time.sleep", lambda _: pytest.fail("it waited"))
     with pytest.raises(HeadwayError, match=r"^backend=ray needs Ray, which is an extra"):
         wait_for_nodes("127.0.0.1:1", 2)
-
-
-@pytest.fixture(autouse=True)
-def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 def _written(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[Path, list[str]]:
@@ -56,17 +53,10 @@ def test_a_cluster_in_the_allocation(tmp_path: Path, capsys: pytest.CaptureFixtu
     path, lines = _written(capsys, "--nodes", "4", "--cpus", "32", *further)
     assert path == tmp_path / "runs" / "a-study" / "slurm" / "cluster.sbatch"
     assert _options(lines) == [
-        "--job-name=headway-a-study",
-        "--nodes=4",
-        "--ntasks-per-node=1",
-        "--cpus-per-task=32",
-        f"--output={path.parent}/%j.out",
-        "--signal=B:TERM@300",
-        "--time=2-00",
-        "--partition=short,long",
-        "--mem=8G",
-        "--gpus=1",
-    ]
+        "--job-name=headway-a-study", "--nodes=4", "--ntasks-per-node=1", "--cpus-per-task=32",
+        f"--output={path.parent}/%j.out", "--signal=B:TERM@300", "--time=2-00", "--partition=short,long",
+        "--mem=8G", "--gpus=1",
+    ]  # fmt: skip
     assert _variable(lines, "overrides") == [*SWEEP[1:], "backend=ray"]
     assert not list((tmp_path / "runs").rglob("run.json"))
 
@@ -86,69 +76,41 @@ def test_an_array_of_seeds(capsys: pytest.CaptureFixture[str]) -> None:
         (("--slurm", "--nodes", "0"), "--nodes must be at least 1, not 0"),
         (
             ("--slurm", "--time", "soon"),
-            "--time must be in Slurm's format, such as 90, 12:00:00 or 2-00, not 'soon'",
+            "--time must be in Slurm's format, such as 90, 12:00:00 or 2-00, not",
         ),
         (("--slurm", "--partition", "a b"), "--partition must be the name of a partition, not 'a b'"),
-        (
-            ("--slurm", "--sbatch", "x"),
-            "--sbatch takes one option of sbatch, such as --mem=8G or '--comment=\"a b\"', not 'x'",
-        ),
-        (
-            ("--slurm", "--sbatch=--mem=8G --gpus=1"),
-            "--sbatch takes one option of sbatch, such as --mem=8G or '--comment=\"a b\"', "
-            "not '--mem=8G --gpus=1'",
-        ),
-        (
-            ("--slurm", "--sbatch=--time=5", "--time", "9"),
-            "--sbatch=--time=5: the script sets --time itself; give --time",
-        ),
+        (("--slurm", "--sbatch", "x"), "--sbatch takes one option of sbatch, such as --mem=8G or"),
+        (("--slurm", "--sbatch=--mem=8G --gpus=1"), "--sbatch takes one option of sbatch, such as --mem=8G"),
         (("--slurm", "--sbatch=--tim=5"), "--sbatch=--tim=5: the script sets --time itself; give --time"),
         (("--slurm", "--sbatch=-N4"), "--sbatch=-N4: the script sets --nodes itself; give --nodes"),
-        (
-            ("--slurm", "--sbatch=-o here"),
-            "--sbatch=-o here: the script sets --output itself; the log lies beside the script",
-        ),
-        (
-            ("--slurm", "--array", "--sbatch=--array=0-9%2"),
-            "--sbatch=--array=0-9%2: the script sets --array itself; give --array",
-        ),
+        (("--slurm", "--sbatch=-o x"), "--sbatch=-o x: the script sets --output itself; the log lies beside"),
+        (("--slurm", "--array", "--sbatch=--array=0-9%2"), "--sbatch=--array=0-9%2: the script sets --array"),
         (
             ("--slurm", "--sbatch=--comment=HetJobs"),
-            "--sbatch=--comment=HetJobs: sbatch removes 'hetjob' from scripts; leave it out here and pass "
-            "the option to sbatch directly",
+            "HetJobs: sbatch removes 'hetjob' from scripts; leave it",
         ),
-        (
-            ("--slurm", "--partition=packjobs"),
-            "--partition=packjobs: sbatch removes 'packjob' from scripts; leave it out here and pass the "
-            "option to sbatch directly",
-        ),
+        (("--slurm", "--partition=packjobs"), "--partition=packjobs: sbatch removes 'packjob' from scripts;"),
         (
             ("--slurm", "backend=process"),
-            "backend=process: the script starts a Ray cluster; leave the override out, or add --array",
+            "backend=process: the script starts a Ray cluster; leave the override",
         ),
         (
             ("--slurm", "++backend.name=serial"),
-            "++backend.name=serial: the script starts a Ray cluster; leave the override out, or add --array",
+            "++backend.name=serial: the script starts a Ray cluster; leave",
         ),
-        (
-            ("--slurm", "backend=ray", "backend.address=head:6379"),
-            "backend.address=head:6379: the script starts its own Ray cluster; leave the override out",
-        ),
+        (("--slurm", "backend=ray", "backend.address=head:6379"), "the script starts its own Ray cluster;"),
         (
             ("--slurm", "--array", "--nodes", "2"),
-            "with --array each seed runs on one node: leave out --nodes or --array",
+            "with --array each seed runs on one node: leave out --nodes",
         ),
-        (
-            ("--slurm", "--dry-run"),
-            "--slurm cannot be combined with --dry-run or --fresh",
-        ),
+        (("--slurm", "algo.learning=1"), "learning"),
+        (("--slurm", "--dry-run"), "--slurm cannot be combined with --dry-run or --fresh"),
     ],
 )
 def test_invalid_options_print_one_line(
-    words: tuple[str, ...], line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], line: str, tmp_path: Path, refused: Refused
 ) -> None:
-    assert run([*SWEEP, *words]) == 2
-    assert capsys.readouterr().err == f"headway: {line}\n"
+    assert line in refused(*SWEEP, *words)
     assert not list(tmp_path.iterdir())
 
 
@@ -171,29 +133,16 @@ def test_option_values_are_quoted_for_sbatch(tmp_path: Path, capsys: pytest.Capt
 
 @pytest.mark.parametrize("name", ["a\\\\b", "Packjobs"])
 def test_a_folder_name_that_sbatch_cannot_represent_prints_one_line(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, tmp_path: Path, refused: Refused
 ) -> None:
-    assert run([*SWEEP, "--slurm", f"store.root='{name}'"]) == 2
-    shown = capsys.readouterr().err
-    assert shown.startswith("headway: sbatch cannot write to a folder with ")
-    assert shown.count("\n") == 1
+    line = refused(*SWEEP, "--slurm", f"store.root='{name}'")
+    assert line.startswith("headway: sbatch cannot write to a folder with ")
     assert not list(tmp_path.iterdir())
 
 
-def test_an_array_of_cells_of_different_seeds_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_array_of_cells_of_different_seeds_is_refused(tmp_path: Path, refused: Refused) -> None:
     cells = ("sweep", "experiment=toy_trivial,matrix_nine", "study=both", "--slurm", "--array")
-    assert run(cells) == 2
     line = "with --array all cells must have the same seeds: give seed=..., or leave out --array"
-    assert capsys.readouterr().err == f"headway: {line}\n"
+    assert refused(*cells) == f"headway: {line}\n"
     assert not list(tmp_path.iterdir())
     assert run([*cells, "seed=0..2"]) == 0
-
-
-def test_an_invalid_sweep_is_refused_before_submission(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run([*SWEEP, "algo.learning=1", "--slurm"]) == 2
-    assert "learning" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())

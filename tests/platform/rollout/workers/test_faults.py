@@ -20,7 +20,6 @@ from rehearsal import (
     iterations_of,
     parameters_of,
     plan_of,
-    take,
 )
 
 from headway.contracts import HeadwayError
@@ -39,14 +38,22 @@ def _plan(folder: Path, fault: Fault = "kill", **choices: Any) -> RolloutPlan:  
     return plan_of(FaultyVisitors, config)
 
 
-def _never(folder: Path) -> RolloutPlan:
-    return _plan(folder, times=0)
-
-
 def _taken(plan: RolloutPlan, notices: list[str] | None = None, iterations: int = 3) -> list[Taken]:
     with collector_of(plan, workers=2, notify=notices.append if notices is not None else print) as collector:
         collector.begin()
         return iterations_of(collector, parameters_of(plan), 1, iterations)
+
+
+@pytest.fixture(scope="module")
+def never(tmp_path_factory: pytest.TempPathFactory) -> RolloutPlan:
+    """A plan whose workers do not fail."""
+    return _plan(tmp_path_factory.mktemp("never"), times=0)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(never: RolloutPlan) -> list[Taken]:
+    """Three iterations of workers that do not fail."""
+    return _taken(never)
 
 
 def _one_line(error: BaseException) -> str:
@@ -60,13 +67,29 @@ def _kill(process_id: int) -> None:
     process.wait(10)
 
 
-def test_a_worker_killed_in_mid_iteration_does_not_change_the_data(tmp_path: Path) -> None:
-    notices: list[str] = []
-    disturbed = _taken(_plan(tmp_path), notices)
-    assert_same(_taken(_never(tmp_path)), disturbed)
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("kill", "killed by signal 9"),
+        ("raise", "RuntimeError: the bridge is out"),
+        ("exit", "ended with code 3"),
+        ("hang up", "alive, but it closed its pipe"),
+    ],
+)
+def test_a_worker_that_fails_in_mid_iteration_does_not_change_the_data(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undisturbed: list[Taken], fault: Fault, reason: str
+) -> None:
+    monkeypatch.setattr(process_workers, "GRACE_S", 0.5)
+    assert_same(undisturbed, _taken(_plan(tmp_path, fault), notices := []))
     assert len(notices) == 1
-    assert "killed by signal 9" in notices[0]
+    assert reason in notices[0]
     assert "from the last snapshot" in notices[0]
+
+
+def test_two_workers_killed_in_one_iteration_are_replaced(tmp_path: Path, undisturbed: list[Taken]) -> None:
+    # Both faults strike at the same step; a replacement finds both marks and does not strike again.
+    assert_same(undisturbed, _taken(_plan(tmp_path, times=2, at=21), notices := []))
+    assert 1 <= len(notices) <= 2
 
 
 @pytest.mark.parametrize("snapshots", [True, False])
@@ -91,33 +114,13 @@ def test_a_killed_worker_of_one_replica_of_a_stack_is_replaced(tmp_path: Path, s
     assert sum(changed) == (not snapshots)
 
 
-def test_both_workers_killed_in_one_iteration_are_both_replaced(tmp_path: Path) -> None:
-    notices: list[str] = []
-    # Both faults strike at the same step; a replacement finds both marks and does not strike again.
-    disturbed = _taken(_plan(tmp_path, times=2, at=21), notices)
-    assert 1 <= len(notices) <= 2
-    assert_same(_taken(_never(tmp_path)), disturbed)
-
-
-def test_without_snapshots_a_replacement_starts_new_episodes_with_a_notice(tmp_path: Path) -> None:
-    notices: list[str] = []
-    disturbed = _taken(_plan(tmp_path, snapshots=False), notices)
-    assert "its episodes start again" in notices[0]
-    undisturbed = _taken(_never(tmp_path))
-    assert_same(undisturbed[:1], disturbed[:1])
-    other = undisturbed[1].arrays["observations"], disturbed[1].arrays["observations"]
-    changed = [not np.array_equal(other[0][0, c], other[1][0, c], equal_nan=True) for c in range(4)]
-    assert sum(changed) == SHARD  # the other worker's copies continue
-
-
 def _evaluate(collector: Collector, parameters: Arrays) -> Any:  # noqa: ANN401 - rows, compared only
     return collector.evaluate(7, 23, False, parameters)
 
 
-def test_workers_killed_between_commands_are_replaced(tmp_path: Path) -> None:
-    plan, notices = _never(tmp_path), list[str]()
-    parameters, undisturbed = parameters_of(plan), _taken(plan)
-    with collector_of(plan, workers=2, notify=notices.append) as collector:
+def test_workers_killed_between_commands_are_replaced(never: RolloutPlan, undisturbed: list[Taken]) -> None:
+    parameters, notices = parameters_of(never), list[str]()
+    with collector_of(never, workers=2, notify=notices.append) as collector:
         _kill(collector.process_ids()[0])
         collector.begin()
         expected = _evaluate(collector, parameters)
@@ -132,16 +135,16 @@ def test_workers_killed_between_commands_are_replaced(tmp_path: Path) -> None:
         collected += iterations_of(collector, parameters, 3, 3)
         assert_same(undisturbed, collected)
     assert len(notices) == 5
-    with collector_of(plan, workers=2, notify=notices.append) as collector:
+    with collector_of(never, workers=2, notify=notices.append) as collector:
         _kill(collector.process_ids()[0])
         collector.restore(snapshots, 2)
         assert_same(undisturbed[2:], iterations_of(collector, parameters, 3, 3))
     assert "start again" not in notices[-1]
 
 
-def test_a_worker_killed_in_evaluation_keeps_its_training_state(tmp_path: Path) -> None:
+def test_a_worker_killed_in_evaluation_keeps_its_state(tmp_path: Path, undisturbed: list[Taken]) -> None:
     plan, notices = _plan(tmp_path, at=3, copies=10), list[str]()
-    parameters, undisturbed = parameters_of(plan), _taken(_never(tmp_path))
+    parameters = parameters_of(plan)
     with collector_of(plan, workers=2, notify=notices.append) as collector:
         collector.begin()
         collected = iterations_of(collector, parameters, 1, 1)
@@ -166,24 +169,6 @@ def test_killed_twice_in_a_row_ends_the_run_in_one_line(tmp_path: Path) -> None:
     assert not any(psutil.pid_exists(process_id) for process_id in ids)
 
 
-def test_a_worker_that_raises_once_is_replaced(tmp_path: Path) -> None:
-    notices: list[str] = []
-    assert_same(_taken(_never(tmp_path)), _taken(_plan(tmp_path, "raise"), notices))
-    assert "RuntimeError: the bridge is out" in notices[0]
-
-
-@pytest.mark.parametrize(
-    ("fault", "reason"), [("exit", "ended with code 3"), ("hang up", "alive, but it closed its pipe")]
-)
-def test_a_worker_that_exits_or_closes_its_pipe_is_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault, reason: str
-) -> None:
-    monkeypatch.setattr(process_workers, "GRACE_S", 0.5)
-    notices: list[str] = []
-    assert_same(_taken(_never(tmp_path)), _taken(_plan(tmp_path, fault), notices))
-    assert reason in notices[0]
-
-
 @pytest.mark.parametrize("fault", ["raise", "bad snapshot"])
 def test_a_second_failure_ends_the_run_with_the_worker_s_traceback(tmp_path: Path, fault: Fault) -> None:
     with pytest.raises(WorkerFailedError) as failure:
@@ -194,16 +179,23 @@ def test_a_second_failure_ends_the_run_with_the_worker_s_traceback(tmp_path: Pat
     assert {"raise": "in _fail", "bad snapshot": "dumps"}[fault] in failure.value.details
 
 
-def test_a_plan_that_a_worker_cannot_load_is_reported_with_its_traceback(tmp_path: Path) -> None:
-    plan = replace(_never(tmp_path), make_env=Unloadable())
+def test_a_plan_that_a_worker_cannot_load_is_reported_with_its_traceback(never: RolloutPlan) -> None:
+    plan = replace(never, make_env=Unloadable())
     with collector_of(plan) as collector, pytest.raises(WorkerFailedError) as failure:
         collector.begin()
     assert "ModuleNotFoundError: No module named 'nowhere'" in _one_line(failure.value)
     assert "pickle.loads" in failure.value.details
 
 
-@pytest.mark.parametrize("name", ["serial", "process"])
-@pytest.mark.parametrize("fault", ["nan observation", "nan reward", "nan state", "nan final"])
+@pytest.mark.parametrize(
+    ("fault", "name"),
+    [
+        ("nan observation", "serial"),
+        ("nan reward", "process"),
+        ("nan state", "process"),
+        ("nan final", "serial"),
+    ],
+)
 def test_nan_is_reported_with_copy_agent_and_step(tmp_path: Path, fault: Fault, name: str) -> None:
     plan = _plan(tmp_path, fault, at=13, times=1, copies={"serial": 4, "process": SHARD}[name])
     with collector_of(plan, name, workers=2) as collector:
@@ -233,17 +225,13 @@ def test_nan_in_evaluation_is_reported_too(tmp_path: Path, name: str) -> None:
         collector.evaluate(7, 10, True, parameters_of(plan))
 
 
-def test_absent_agents_may_hold_nan(tmp_path: Path) -> None:
-    taken = _taken(_never(tmp_path))
-    assert any(np.isnan(part.arrays["observations"]).any() for part in taken)
+def test_absent_agents_may_hold_nan(undisturbed: list[Taken]) -> None:
+    assert any(np.isnan(part.arrays["observations"]).any() for part in undisturbed)
 
 
-def test_closing_does_not_wait_for_busy_workers_to_finish(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_closing_does_not_wait_for_busy_workers(never: RolloutPlan, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process_workers, "GRACE_S", 2.0)
-    plan = _never(tmp_path)
-    with collector_of(plan, workers=2) as collector:
+    with collector_of(never, workers=2) as collector:
         assert isinstance(collector, PoolCollector)
         collector.begin()
         children = [psutil.Process(process_id) for process_id in collector.process_ids()]
@@ -254,16 +242,15 @@ def test_closing_does_not_wait_for_busy_workers_to_finish(
     assert not any(process.is_running() for process in children)
 
 
-def test_cpu_seconds_of_replaced_workers_still_count(tmp_path: Path) -> None:
-    plan = _never(tmp_path)
-    with collector_of(plan, workers=2) as collector:
+def test_cpu_seconds_of_replaced_workers_still_count(never: RolloutPlan) -> None:
+    parameters = parameters_of(never)
+    with collector_of(never, workers=2) as collector:
         collector.begin()
-        taken = take(collector.trajectory, collector.collect(1, parameters_of(plan)))
+        assert collector.collect(1, parameters)
         before = collector.usage()
         assert before.cpu_seconds > 0
         assert before.memory_bytes > 1_000_000
         for process_id in collector.process_ids():
             _kill(process_id)
-        collector.collect(2, parameters_of(plan))
+        collector.collect(2, parameters)
         assert collector.usage().cpu_seconds > before.cpu_seconds
-    assert len(taken.episodes) > 0

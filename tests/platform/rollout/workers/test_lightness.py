@@ -24,26 +24,17 @@ HEAVY = {"torch", "pandas", "pyarrow", "mlflow", "scipy", "pettingzoo", "gymnasi
 
 _MEASURE = """
 import json, sys
-from pathlib import Path
-import numpy as np, psutil
+import psutil
 sys.path.insert(0, sys.argv[1])
+from rehearsal import collector_of, parameters_of, plan_of
 from spying import SpyConfig, make_spy
-from headway.rollout.workers.process_workers import process_collector
-from headway.rollout.plan import RolloutPlan
-from headway_algos.acting.mlp import MLPActingPolicy
-from headway_algos.registry import configure
 
-config = SpyConfig(sys.argv[2])
-spec = make_spy(config, 1).spec
-policy = MLPActingPolicy.of(configure("ippo"), spec)
-plan = RolloutPlan(make_spy, (), config, spec, policy, (0,), 8, 512, 4)
-parameters = {name: np.zeros(shape, dtype) for name, (shape, dtype) in policy.parameter_shapes(1).items()}
+plan = plan_of(make_spy, SpyConfig(sys.argv[2]), copies=8, steps=512, block=4)
 for attempt in ("cold", "warm"):
-    collector = process_collector(plan, plan.shards(2), print)
-    collector.begin()
-    collector.collect(1, parameters)
-    own = [psutil.Process(process_id).memory_full_info().uss for process_id in collector.process_ids()]
-    collector.close()
+    with collector_of(plan) as collector:
+        collector.begin()
+        collector.collect(1, parameters_of(plan))
+        own = [psutil.Process(process_id).memory_full_info().uss for process_id in collector.process_ids()]
 print(json.dumps(own))
 """
 
@@ -162,11 +153,6 @@ def test_a_killed_forkserver_is_replaced() -> None:
     assert not alive
 
 
-def _descriptors() -> int:
-    gc.collect()
-    return psutil.Process().num_fds()
-
-
 def test_collectors_leave_no_descriptors_and_no_processes() -> None:
     plan = plan_of_toy("trivial")
 
@@ -177,9 +163,11 @@ def test_collectors_leave_no_descriptors_and_no_processes() -> None:
             return [psutil.Process(process_id) for process_id in collector.process_ids()]
 
     once()  # starts the forkserver, which stays
-    before = _descriptors()
+    gc.collect()
+    before = psutil.Process().num_fds()
     processes = [process for _ in range(5) for process in once()]
-    assert _descriptors() == before
+    gc.collect()
+    assert psutil.Process().num_fds() == before
     assert not any(process.is_running() for process in processes)
 
 

@@ -56,12 +56,7 @@ def _answered(*answers: Done | str, commands: Sequence[Command] = (Begin("episod
 
 @pytest.mark.parametrize(
     "answers",
-    [
-        (LOST, DEATH, DONE),
-        (DEATH, LOST, DONE),
-        (LOST, LOST, LOST, DONE),
-        (LOST, DEATH, LOST, LOST, DONE),
-    ],
+    [(LOST, DEATH, DONE), (DEATH, LOST, DONE), (LOST, LOST, LOST, DONE), (LOST, DEATH, LOST, LOST, DONE)],
 )
 def test_a_lost_machine_is_no_failure_of_the_worker(answers: tuple[Done | str, ...]) -> None:
     lines = [f"worker 0 failed ({answer}); replaced, its episodes start again" for answer in answers[:-1]]

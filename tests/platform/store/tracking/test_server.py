@@ -17,10 +17,12 @@ import pytest
 
 from headway.config.experiment import StoreConfig
 from headway.contracts import HeadwayError
-from headway.store import Run, RunLog, SessionStore, sync_each
 from headway.store.checkpoint import save_checkpoint
+from headway.store.parquet_log import RunLog
+from headway.store.session import Cell, Run, SessionStore
 from headway.store.tracking import thread
 from headway.store.tracking.client import Tracker, database_uri, require_answer
+from headway.store.tracking.sync import sync_each
 
 ITERATIONS = 40
 PATIENCE_S = 300.0
@@ -73,13 +75,9 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     command += ["--backend-store-uri", database_uri(folder), "--workers", "1"]
     command += ["--artifacts-destination", str(folder / "artifacts")]
     quiet = {"MLFLOW_DISABLE_TELEMETRY": "true", "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
+    silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process = subprocess.Popen(
-        command,
-        cwd=folder,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-        env={**os.environ, **quiet},
+        command, cwd=folder, start_new_session=True, env={**os.environ, **quiet}, **silent
     )
     try:
         deadline = time.monotonic() + PATIENCE_S
@@ -140,7 +138,7 @@ def test_a_server_that_reconnects_receives_everything_once(
     monkeypatch.setattr(thread, "_RETRY_SECONDS", 0.0)
     config = StoreConfig(root=str(tmp_path), tracking_uri=line.uri)
     store = SessionStore.open(config)
-    cell = store.begin_cell("lost", "bus", "mappo", {"algo.lr": 3e-4})
+    cell = Cell(store, "lost", "bus", "mappo", {"algo.lr": 3e-4})
     first, second = (cell.begin_run(seed, "seed: 0\n", {}, iterations=ITERATIONS) for seed in (0, 1))
     train(first, 1, 10)
     deadline = time.monotonic() + PATIENCE_S
@@ -181,7 +179,7 @@ def _points_of(line: Line, study: str, run_id: str) -> list[tuple[int, float]]:
 def test_the_next_session_sends_what_an_unreachable_server_missed(line: Line, tmp_path: Path) -> None:
     config = StoreConfig(root=str(tmp_path), tracking_uri=line.uri)
     store = SessionStore.open(config)
-    cell = store.begin_cell("away", "bus", "mappo", {})
+    cell = Cell(store, "away", "bus", "mappo", {})
     line.is_cut = True
     run = cell.begin_run(0, "seed: 0\n", {}, iterations=ITERATIONS)
     train(run, 1, ITERATIONS)

@@ -53,9 +53,7 @@ def test_an_update_that_fails_at_the_end_is_tried_once_more(tmp_path: Path, outa
     assert len(after) == len(again) == (1 if outage == 1 else 0)
 
 
-def test_after_a_failed_connection_nothing_tries_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_after_a_failed_connection_nothing_retries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     attempts = []
 
     def refuse(root: Path, tracking_uri: str | None) -> Tracker:
