@@ -41,8 +41,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if folder.exists() and not folder.is_dir():
         raise HeadwayError(f"--output: {folder} is a file; name a folder")
     from headway_launch.report.page import write_report
-    from headway_launch.report.sections import report_of
     from headway_launch.report.study_data import StudyData
+    from headway_launch.report.study_report import report_of
 
     data = StudyData(root, arguments.study, arguments.metric, arguments.lower_is_better, arguments.low)
     print(write_report(report_of(data), folder))

@@ -2,7 +2,7 @@
 
 from headway.stats import frames, plots
 from headway.wording import counted
-from headway_launch.report.parts import (
+from headway_launch.report.elements import (
     Part,
     Picture,
     Section,

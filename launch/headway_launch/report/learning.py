@@ -3,7 +3,7 @@
 import pandas as pd
 
 from headway.stats import frames, plots
-from headway_launch.report.parts import (
+from headway_launch.report.elements import (
     Part,
     Picture,
     Section,
@@ -111,9 +111,8 @@ def episode_metrics_section(data: StudyData) -> Section:
     for place, task in enumerate(data.tasks):
         names = list(data.on(task))
         rules = data.ranked_rules(task)
-        columns = {name: data.episodes[_is(data, task, name)] for name in names}
-        of_rules = data.rules[data.rules["task"] == task]
-        columns |= {f"rule {rule}": of_rules[of_rules["rule"] == rule] for rule in rules}
+        columns = {name: data.of_controller(task, name) for name in names}
+        columns |= {f"rule {rule}": data.of_rule(task, rule) for rule in rules}
         means = pd.DataFrame(
             {
                 label: {metric: _mean(episodes, metric) for metric in data.metrics}
@@ -152,10 +151,6 @@ def episode_metrics_section(data: StudyData) -> Section:
             "that begin with `reward_`."
         )
     return Section("episode_metrics", "Episode metrics of the last evaluation", body)
-
-
-def _is(data: StudyData, task: str, controller: str) -> "pd.Series[bool]":
-    return (data.episodes["task"] == task) & (data.episodes["controller"] == controller)
 
 
 def _mean(episodes: pd.DataFrame, metric: str) -> float:

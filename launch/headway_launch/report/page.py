@@ -9,7 +9,7 @@ from pathlib import Path
 
 from headway_launch.console.output import print_line
 from headway_launch.console.output_files import write_error
-from headway_launch.report.parts import Listing, Part, Picture, Section, Table
+from headway_launch.report.elements import Listing, Part, Picture, Section, Table
 
 PAGE = "report.html"
 _PARTS = ("tables", "pictures", "configs")

@@ -7,9 +7,9 @@ from typing import Any
 import pandas as pd
 
 from headway.contracts.errors import HeadwayError
-from headway.stats import FEWEST_POINTS
-from headway.store import RunRow
-from headway_launch.report.parts import MISSING, Listing, Part, Section, Table, formatted, scale_of
+from headway.stats.curves import FEWEST_POINTS
+from headway.store.index import RunRow
+from headway_launch.report.elements import MISSING, Listing, Part, Section, Table, formatted, scale_of
 from headway_launch.report.reproduction_line import reproducing_line
 from headway_launch.report.study_data import StudyData
 from headway_launch.runner.recorder import TRACEBACK

@@ -11,9 +11,10 @@ import pandas as pd
 
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS
-from headway.stats import Interval, MeanStd, frames, mean_std, plots
-from headway.store import RunSelection
+from headway.stats import frames, plots
+from headway.stats.samples import Interval, MeanStd, mean_std
 from headway.store.query import LABELS as RUN_LABELS
+from headway.store.query import RunSelection
 from headway.wording import counted
 from headway_launch.experiments.parameters import flat
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference
@@ -243,17 +244,24 @@ class StudyData:
         """Return the suffix of a file name if there is one file per task, such as `_1`."""
         return f"_{place + 1}" if len(self.tasks) > 1 else ""
 
+    def of_controller(self, task: str, controller: str) -> pd.DataFrame:
+        """Return the rows of `episodes` for a learner."""
+        return self.episodes[(self.episodes["task"] == task) & (self.episodes["controller"] == controller)]
+
+    def of_rule(self, task: str, rule: str) -> pd.DataFrame:
+        """Return the rows of `rules` for a rule."""
+        return self.rules[(self.rules["task"] == task) & (self.rules["rule"] == rule)]
+
     def by_seed(self, task: str, controller: str, column: str) -> pd.DataFrame:
         """Return a metric of the last evaluation: runs x episode seeds; empty if it was not logged."""
-        of_cell = self.episodes[(self.episodes["task"] == task) & (self.episodes["controller"] == controller)]
+        of_cell = self.of_controller(task, controller)
         if column not in of_cell:
             return pd.DataFrame()
         return of_cell.pivot_table(index="run_id", columns="episode_seed", values=column)
 
     def by_episode(self, task: str, rule: str) -> "pd.Series[float]":
         """Return a rule's episodes by `episode_seed`."""
-        of_rule = self.rules[(self.rules["task"] == task) & (self.rules["rule"] == rule)]
-        return of_rule.set_index("episode_seed")[self.column]
+        return self.of_rule(task, rule).set_index("episode_seed")[self.column]
 
     def against_best_rule(self, task: str, controller: str) -> DifferenceFromBest:
         """Return the paired difference of the metric, learner minus the task's best rule.
@@ -275,16 +283,14 @@ class StudyData:
 
     def paired(self, task: str, learned: pd.DataFrame, best: "pd.Series[float]") -> DifferenceFromBest:
         """Return a learner's values (as from `by_seed`) minus a rule's on their common episodes."""
-        if len(self._evaluation_seeds(task)) > 1:
+        evaluations = (configuration(row.directory)["evaluation"] for row in self._runs_on(task))
+        if len({int(evaluation["seed"]) for evaluation in evaluations}) > 1:
             return DifferenceFromBest(None, "the cells were evaluated on different episodes")
         common = [seed for seed in learned.columns if seed in best.index]
         whole = learned[common].dropna(axis="columns")
         if whole.shape[1] < 2:
             return DifferenceFromBest(None, "fewer than two common episodes")
         return DifferenceFromBest(difference(whole.to_numpy().tolist(), best[whole.columns].tolist()))
-
-    def _evaluation_seeds(self, task: str) -> set[int]:
-        return {int(configuration(row.directory)["evaluation"]["seed"]) for row in self._runs_on(task)}
 
     def _runs_on(self, task: str) -> list["RunRow"]:
         return [row for members in self.on(task).values() for row in members]

@@ -1,6 +1,6 @@
 """Sections that compare a study with published results, which are stored with the environments."""
 
-from headway_launch.report.parts import Section
+from headway_launch.report.elements import Section
 from headway_launch.report.published.bus_published import bus_published_section
 from headway_launch.report.published.intersection import intersection_section
 from headway_launch.report.published.merge import merge_section

@@ -1,6 +1,6 @@
 """Episode metrics of the last evaluation by controller, and the published results they are compared with."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,8 +9,8 @@ import pandas as pd
 
 from headway.contracts import PublishedResults
 from headway.registry import env_entry
-from headway.stats import mean_std
-from headway_launch.report.parts import MISSING, formatted, with_deviation
+from headway.stats.samples import Interval, mean_std
+from headway_launch.report.elements import MISSING, formatted, with_deviation
 from headway_launch.report.study_data import StudyData
 from headway_launch.studies.runs import configuration
 
@@ -73,7 +73,7 @@ def rule_metrics(data: StudyData, task: str, columns: Sequence[MetricColumn]) ->
     """Return one row per rule, best first: the mean of each metric over episodes."""
     found = {}
     for rule in data.ranked_rules(task):
-        of_rule = data.rules[(data.rules["task"] == task) & (data.rules["rule"] == rule)]
+        of_rule = data.of_rule(task, rule)
         found[f"rule {rule}"] = {
             each.metric: float(of_rule[each.metric].mean()) if each.metric in of_rule else float("nan")
             for each in columns
@@ -93,6 +93,16 @@ def formatted_row(row: "pd.Series[Any]", columns: Sequence[MetricColumn]) -> lis
         with_deviation(float(row[each.metric]), float(row.get(f"{each.metric}_std", np.nan)), each.decimals)
         for each in columns
     ]
+
+
+def interval_columns(found: Mapping[str, Interval | None]) -> dict[str, float]:
+    """Return the exact values of known intervals by column: the metric's name, `..._low` and `..._high`."""
+    return {
+        f"{metric}{part}": value
+        for metric, interval in found.items()
+        if interval is not None
+        for part, value in (("", interval.estimate), ("_low", interval.low), ("_high", interval.high))
+    }
 
 
 def seeds_of(row: "pd.Series[Any]") -> str:

@@ -4,11 +4,12 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from headway_launch.report.parts import MISSING, Part, Section, Table, with_interval
+from headway_launch.report.elements import MISSING, Part, Section, Table, with_interval
 from headway_launch.report.published.episode_metrics import (
     MetricColumn,
     env_of,
     formatted_row,
+    interval_columns,
     learner_metrics,
     published_results,
     published_values,
@@ -20,7 +21,7 @@ from headway_launch.report.study_data import StudyData
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 if TYPE_CHECKING:
-    from headway.stats import Interval
+    from headway.stats.samples import Interval
 
 ENVIRONMENT = "intersection"
 HUMANS = "human"
@@ -97,7 +98,7 @@ def _comparison(data: StudyData, task: str, number: str) -> Table:
 
 def _against_humans(data: StudyData, task: str, number: str) -> list[Part]:
     """Return the table of each learner's outflow and collisions minus human drivers', paired by episode."""
-    of_rule = data.rules[(data.rules["task"] == task) & (data.rules["rule"] == HUMANS)]
+    of_rule = data.of_rule(task, HUMANS)
     if of_rule.empty:
         return [f"There is no baseline of human drivers{data.where(task)}: the rule `{HUMANS}` was not run."]
     humans = of_rule.set_index("episode_seed")
@@ -113,12 +114,7 @@ def _against_humans(data: StudyData, task: str, number: str) -> list[Part]:
         known = {metric: interval for metric, interval in found.items() if interval is not None}
         shown = [_shown(known.get(each.metric)) for each in COMPARED]
         rows.append([name, str(len(members)), *shown, _conclusion(known, len(members))])
-        ends = {
-            f"{metric}{part}": value
-            for metric, against in known.items()
-            for part, value in (("", against.estimate), ("_low", against.low), ("_high", against.high))
-        }
-        exact.append({"controller": name, "seeds": len(members), **ends})
+        exact.append({"controller": name, "seeds": len(members), **interval_columns(found)})
     return [
         Table(
             f"against_humans{number}",

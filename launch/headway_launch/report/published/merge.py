@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from headway.contracts import PublishedResult
-from headway.stats import difference_of_means
-from headway_launch.report.parts import MISSING, Part, Section, Table
+from headway.stats.intervals import difference_of_means
+from headway_launch.report.elements import MISSING, Part, Section, Table
 from headway_launch.report.published.episode_metrics import (
     MetricColumn,
     env_of,
     formatted_row,
+    interval_columns,
     learner_metrics,
     mean_by_seed,
     published_results,
@@ -23,7 +24,7 @@ from headway_launch.report.study_data import StudyData
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 if TYPE_CHECKING:
-    from headway.stats import Interval
+    from headway.stats.samples import Interval
 
 ONE_LANE, TWO_LANES = "merge", "merge_two_lane"
 COLUMNS = (
@@ -114,7 +115,7 @@ def _scaling(data: StudyData, one: str, two: str, number: str) -> list[Part]:
         finding = published.get(members[0].algorithm, _UNPUBLISHED).finding
         shown = [_shown(changes[each.metric], each.decimals) for each in SCALING_COLUMNS]
         rows.append([name, str(seeds), *shown, finding, _conclusion(changes["reward"], seeds)])
-        exact.append({"controller": name, "seeds": seeds, **_exact(changes)})
+        exact.append({"controller": name, "seeds": seeds, **interval_columns(changes)})
     if not rows:
         return [f"No learner was trained on both {one} and {two}."]
     return [
@@ -152,12 +153,3 @@ def _conclusion(change: "Interval | None", seeds: int) -> str:
     if change.excludes_zero:
         conclusion = "gains" if change.estimate > 0 else "loses"
     return conclusion if seeds >= SEEDS_FOR_A_CLAIM else f"no claim ({conclusion})"
-
-
-def _exact(changes: "dict[str, Interval | None]") -> dict[str, float]:
-    return {
-        f"{metric}{part}": value
-        for metric, change in changes.items()
-        if change is not None
-        for part, value in (("", change.estimate), ("_low", change.low), ("_high", change.high))
-    }

@@ -5,12 +5,16 @@ from importlib.metadata import version
 
 from headway.wording import counted
 from headway_launch.report.costs import energy_section, tradeoff_section
+from headway_launch.report.elements import Section, formatted, scale_of, with_interval
 from headway_launch.report.learning import across_environments, curves_section, episode_metrics_section
 from headway_launch.report.page import Report
-from headway_launch.report.parts import Section, formatted, scale_of, with_interval
 from headway_launch.report.provenance_section import provenance_section, runs_section
 from headway_launch.report.published import published_sections
-from headway_launch.report.rewards import final_reward_section, improvement_section, interquartile_section
+from headway_launch.report.reward_tables import (
+    final_reward_section,
+    improvement_section,
+    interquartile_section,
+)
 from headway_launch.report.study_data import StudyData
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 

@@ -4,9 +4,10 @@ from typing import Any
 
 import pandas as pd
 
-from headway.stats import FEWEST_POINTS, frames, plots
+from headway.stats import frames, plots
+from headway.stats.curves import FEWEST_POINTS
 from headway.wording import counted
-from headway_launch.report.parts import (
+from headway_launch.report.elements import (
     MISSING,
     Part,
     Picture,

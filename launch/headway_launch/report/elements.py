@@ -65,15 +65,15 @@ class Section:
     body: list[Part] = field(default_factory=list)
 
 
-def formatted(value: float | None, digits: int = _DIGITS) -> str:
-    """Format a number to `digits` significant digits, whole parts in full; a dash if it is unknown."""
+def formatted(value: float | None) -> str:
+    """Format a number to four significant digits, whole parts in full; a dash if it is unknown."""
     if value is None or not math.isfinite(value):
         return MISSING
     if value == int(value) and abs(value) < 1e15:
         return f"{int(value):,}"
     if abs(value) < 1e-4:
-        return f"{value:.{digits - 1}e}"
-    return f"{value:,.{max(digits - 1 - math.floor(math.log10(abs(value))), 0)}f}"
+        return f"{value:.{_DIGITS - 1}e}"
+    return f"{value:,.{max(_DIGITS - 1 - math.floor(math.log10(abs(value))), 0)}f}"
 
 
 def with_deviation(mean: float, deviation: float, decimals: int | None = None) -> str:
