@@ -17,6 +17,8 @@ KERNELS := $(wildcard platform/headway/contracts/numba_setup.py algos/headway_al
 SOURCES := platform envs algos launch tests
 # What runs import, a sixth of what is installed: compiled once for all processes. pip would compile everything.
 IMPORTED := import codecarbon, hydra, matplotlib.pyplot, mlflow.tracking, pandas, pyarrow.parquet, rich, scipy.stats, supersuit, torch
+PIP_INSTALL = $(BIN)/python -m pip install --quiet --no-compile $(PIP_ARGS) -c constraints.txt
+WARM_UP := $(BIN)/python -m headway_launch.runner.warm_up
 # Side by side, one file of tests in one process, long files first (tests/conftest.py); ARGS="-n 0" tests in this one, where a debugger works.
 PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
@@ -37,12 +39,17 @@ $(STAMP): pyproject.toml constraints.txt
 		{ echo "make: $(PYTHON) is not Python 3.11; give one: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet -c constraints.txt --upgrade pip # Python 3.11's own takes twice as long
-	$(BIN)/python -m pip install --quiet --no-compile $(PIP_ARGS) -c constraints.txt -e ".[dev,sumo]"
+	@echo "installing packages and compiling kernels, once"
+	@# The kernels need two packages only: they compile on one core while pip installs the rest on another.
+	@$(PIP_INSTALL) numba pyyaml
+	@$(PIP_INSTALL) --no-deps -e .
+	@$(WARM_UP) & $(PIP_INSTALL) -e ".[dev,sumo]"; installed=$$?; wait $$! && exit $$installed
 	@touch $@
 
 $(COMPILED): $(STAMP) $(KERNELS)
 	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -c "$(IMPORTED)"
-	@$(BIN)/python -m headway_launch.runner.warm_up
+	@test ! -e $@ || echo "compiling kernels that have changed"
+	@$(WARM_UP)
 	@mkdir -p $(@D) && touch $@
 
 experiment: $(COMPILED) ## train one experiment: CONFIG=bus_mappo ARGS="key=value ..."
