@@ -50,11 +50,6 @@ def with_ids(observations: NDArray[np.float32], ids: NDArray[np.float32]) -> NDA
     return np.concatenate([observations, np.broadcast_to(ids, (*observations.shape[:-1], ids.shape[1]))], -1)
 
 
-def spec_with_ids(spec: EnvSpec, ids: NDArray[np.float32]) -> EnvSpec:
-    """Return the spec of an environment whose observations include the columns of `agent_ids`."""
-    return replace(spec, observation_size=spec.observation_size + ids.shape[1])
-
-
 def trajectory_with_ids(trajectory: Trajectory, ids: NDArray[np.float32]) -> Trajectory:
     """Return the trajectory with the columns of `agent_ids` appended to all its observations."""
     if not ids.shape[1]:

@@ -81,6 +81,10 @@ class LearnerConfig:
         """Whether policies begin as one shared policy that is split later."""
         return False
 
+    def lr_factor(self, progress: float) -> float:
+        """Return the factor on the learning rates once a share `progress` of training is done."""
+        return 1 - (1 - self.lr_end) * progress
+
     def __post_init__(self) -> None:
         require_finite(self)
         require_value(self, "gamma", 0 <= self.gamma <= 1, "must lie in [0, 1]")
@@ -161,3 +165,13 @@ class SimultaneousConfig(AlgoConfig):
             "apart_lr",
             "applies after shared_until: set shared_until, or leave apart_lr at 1",
         )
+
+
+@dataclass(frozen=True)
+class A3CConfig(AlgoConfig):
+    """A3C: how workers' gradients are applied."""
+
+    application: Literal["arrival", "in_turns"] = "arrival"
+    """When a worker's gradient is applied. `arrival`: as soon as it arrives, so that runs are not
+    reproducible; `in_turns`: in a fixed order of workers, which is reproducible but makes fast workers wait
+    (for tests). backend=serial always works in turns."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Lazy
 from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
+from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.agent_id import agent_ids, impossible_ids
 from headway_algos.grouping import Grouping
 from headway_algos.recipes import KERNELS, ReplayRecipe
@@ -47,13 +48,13 @@ def _refuses_all_but_bounded(config: ReplayConfig, spec: EnvSpec) -> str | None:
 def _epsilon_greedy(config: ReplayConfig, spec: EnvSpec) -> EpsilonGreedyPolicy:
     if (line := _refuses_all_but_discrete(config, spec)) is not None:
         raise HeadwayError(line)
-    return EpsilonGreedyPolicy.of(config, spec)
+    return EpsilonGreedyPolicy(MLPActingPolicy.of(config, spec))
 
 
 def _ornstein_uhlenbeck(config: DDPGConfig, spec: EnvSpec) -> OrnsteinUhlenbeckPolicy:
     if (line := _refuses_all_but_bounded(config, spec)) is not None:
         raise HeadwayError(line)
-    return OrnsteinUhlenbeckPolicy.of(config, spec, config.ou_theta, config.ou_sigma)
+    return OrnsteinUhlenbeckPolicy(MLPActingPolicy.of(config, spec), config.ou_theta, config.ou_sigma)
 
 
 def _replay_bytes(config: ReplayConfig, spec: EnvSpec, env_steps: int) -> int:

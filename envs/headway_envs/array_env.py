@@ -2,13 +2,14 @@
 outputs."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import EnvSpec, HeadwayError, Observations
+from headway.contracts import EnvSpec, HeadwayError, Observations, StepResult
+from headway_envs.step_arrays import step_arrays, step_result
 
 Snapshot = dict[str, dict[str, NDArray[Any]]]
 """Whole state of a batch with its current observations, as checkpoints hold it: {"world" or "outputs": {name:
@@ -23,12 +24,14 @@ class ArrayEnv(ABC, Generic[WorldT, OutputsT]):
     """Implementation of `headway.contracts.BatchedEnv`, except `step`, for C copies whose whole state is the
     arrays of `world` and `outputs`.
 
-    A subclass sets `world`, `outputs` (axis C first in each array) and `_spec`.
+    A subclass sets `world`, `outputs` (axis C first in each array), `_spec` and `_outcome`.
     """
 
     world: WorldT
     outputs: OutputsT
     _spec: EnvSpec
+    _outcome: StepResult
+    """Result of the last step: `_result` of the arrays that steps fill."""
     _KIND: ClassVar[str]
     """Noun for the error message of `restore`: what must match between snapshot and environment."""
 
@@ -84,6 +87,17 @@ class ArrayEnv(ABC, Generic[WorldT, OutputsT]):
         """Do nothing: the environment holds no open resources."""
         return
 
+    def _arrays(self, copies: int, names: Sequence[str]) -> dict[str, NDArray[Any]]:
+        """Return the arrays of these names that steps fill. Raises HeadwayError for fewer than one copy."""
+        if copies < 1:
+            raise HeadwayError(f"copies must be at least 1, not {copies}")
+        arrays = step_arrays(self._spec, copies)
+        return {name: arrays[name] for name in names if name in arrays}
+
+    def _result(self, **others: NDArray[Any]) -> StepResult:
+        """Return the result made of `outputs` and of `others`, which `outputs` lacks."""
+        return step_result({**_named(self.outputs), **others})
+
     def _checked(self, actions: NDArray[Any]) -> NDArray[np.int64]:
         """Return an int64 copy of actions (C, N); a copy, because a kernel may replace some of them. Raises
         ValueError for any other shape."""
@@ -100,6 +114,14 @@ def _named(arrays: NamedTuple) -> Mapping[str, NDArray[Any]]:
 def copied(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return copies of the arrays in a snapshot's format: by name, records as bytes."""
     return {name: _plain(array).copy() for name, array in arrays.items()}
+
+
+def record(dtype: np.dtype[np.void], values: Mapping[str, float]) -> NDArray[np.void]:
+    """Return an array (1,) of a record type with these values of its fields, and 0 in others."""
+    made = np.zeros(1, dtype)
+    for name, value in values.items():
+        made[name] = value
+    return made
 
 
 def _plain(array: NDArray[Any]) -> NDArray[Any]:

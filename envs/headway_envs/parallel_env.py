@@ -1,6 +1,6 @@
 """One copy of a batched environment as a PettingZoo ParallelEnv, for use in other libraries."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -41,12 +41,11 @@ class ParallelEnvBase(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types 
         name: str | None = None,
         bound: float = np.inf,
         low: float | None = None,
-        agents: Sequence[str] | None = None,
     ) -> None:
         """Wrap one copy made by `make`: (copies) -> batched environment.
 
-        `name` and `agents` (default: those of the spec) are the names shown outside. Observations are
-        declared to lie between `low` (default: -`bound`) and `bound`.
+        `name` (default: that of the spec) is shown outside. Observations are declared to lie between `low`
+        (default: -`bound`) and `bound`.
         """
         self._env = make(1)
         spec = self._env.spec
@@ -56,7 +55,7 @@ class ParallelEnvBase(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types 
             "episode_metrics": spec.metrics,
             "agents_come_and_go": spec.agents_come_and_go,
         }
-        self.possible_agents = list(agents or spec.agents)
+        self.possible_agents = list(spec.agents)
         self.agents: list[str] = []
         self._index = {agent: index for index, agent in enumerate(spec.agents)}
         least = -bound if low is None else low

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from headway.adapters.pettingzoo import ParallelEnvBatch
+from headway.adapters.pettingzoo import AdapterOptions, ParallelEnvBatch
 from headway.config.experiment import BackendConfig, EvaluationConfig, ExperimentConfig, RolloutConfig
 from headway.config.schema import build, plain
 from headway.events import Event, IterationFinished, Started
@@ -99,7 +99,7 @@ class DictBased:
     def __call__(self, config: Any, copies: int) -> ParallelEnvBatch:  # noqa: ANN401 - as EnvEntry.make
         make = env_entry(self.name).parallel_env
         assert make is not None
-        return ParallelEnvBatch(lambda: make(config), copies, self.name, shared_reward=True)
+        return ParallelEnvBatch(lambda: make(config), copies, self.name, AdapterOptions(shared_reward=True))
 
 
 def measure(tasks: Sequence[Task]) -> list[Measurement]:

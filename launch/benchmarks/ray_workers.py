@@ -17,6 +17,7 @@ from headway.config.experiment import BackendConfig
 from headway.config.schema import build
 from headway.registry import algo_entry, env_entry
 from headway.rollout.plan import RolloutPlan
+from headway.rollout.pool_collector import PoolCollector
 
 TASKS = {
     "batched trivial, 20 copies": replace(BASE, block=10, workers=2),
@@ -98,12 +99,7 @@ def report() -> None:
 def _report_transfer() -> dict[str, TransferCost]:
     """Print and return the transfer costs by task, for tasks with a batched environment."""
     from headway.rollout.workers.ray_cluster import connect, disconnect
-    from headway.rollout.workers.ray_workers import (
-        RaySamplingTransport,
-        experience_of,
-        nbytes_of,
-        ray_collector,
-    )
+    from headway.rollout.workers.ray_workers import RaySamplingTransport, experience_of
 
     sizes: dict[str, tuple[float, float]] = {}
     connect("local")
@@ -116,13 +112,15 @@ def _report_transfer() -> dict[str, TransferCost]:
             plan = _plan_of(task)
             shapes = plan.policy.parameter_shapes(plan.replicas)
             parameters = {key: np.zeros(shape, dtype) for key, (shape, dtype) in shapes.items()}
-            collector = ray_collector(BackendConfig("ray"), plan, plan.shards(task.workers), print)
+            shards = plan.shards(task.workers)
+            transport = RaySamplingTransport(BackendConfig("ray"), plan, shards, print)
+            collector = PoolCollector(plan, transport, len(shards), print)
             try:
                 collector.begin()
                 collector.collect(1, parameters)
-                assert isinstance(collector.transport, RaySamplingTransport)
-                sent = nbytes_of(experience_of(collector.trajectory)) / (task.copies * task.steps)
-                put = _median_ms(partial(collector.transport.publish, parameters))
+                experience = experience_of(collector.trajectory).values()
+                sent = sum(array.nbytes for array in experience) / (task.copies * task.steps)
+                put = _median_ms(partial(transport.publish, parameters))
                 collected = _median_ms(partial(collector.collect, 2, parameters))
             finally:
                 collector.close()

@@ -9,8 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
-from headway.store import RunLog, RunRecord, select
-from headway.store.run_folder import Process, cell_name, create_run_folder, now
+from headway.store.parquet_log import RunLog
+from headway.store.query import select
+from headway.store.run_folder import Process, RunRecord, cell_name, create_run_folder, now
 from headway_launch.runner.runner import STORE_SHARE
 
 RUNS, POINTS = 450, 400

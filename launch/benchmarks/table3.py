@@ -84,7 +84,8 @@ def cost_of(experiment: Experiment) -> Cost:
     began = time.process_time()
     evaluation = config.evaluation
     for mode_name in evaluation.modes:
-        for request in EvaluationRequest.split(evaluation.seed, evaluation.episodes, mode_name == "greedy"):
+        greedy = mode_name == "greedy"
+        for request in EvaluationRequest.split(evaluation.seed, evaluation.episodes, greedy, plan.spec):
             evaluate_policy(plan, learner.acting_parameters(), request)
     return Cost(
         iteration_s=iteration,

@@ -13,21 +13,22 @@ from headway.contracts.lazy import lazy_attributes
 
 if TYPE_CHECKING:
     from headway.adapters.conformance import CHECKS, play
-    from headway.adapters.parallel_entry import AdapterOptions, parallel_entry
+    from headway.adapters.parallel_entry import parallel_entry
+    from headway.adapters.pettingzoo import AdapterOptions
     from headway.stats import frames, plots
-    from headway.store import RunSelection, select
+    from headway.store.query import RunSelection, select
     from headway.wrappers.observations import ChangedObservations
 
 _LOADED_LATER = {
     "CHECKS": "headway.adapters.conformance:CHECKS",
-    "AdapterOptions": "headway.adapters.parallel_entry:AdapterOptions",
+    "AdapterOptions": "headway.adapters.pettingzoo:AdapterOptions",
     "ChangedObservations": "headway.wrappers.observations:ChangedObservations",
-    "RunSelection": "headway.store:RunSelection",
+    "RunSelection": "headway.store.query:RunSelection",
     "frames": "headway.stats.frames",
     "parallel_entry": "headway.adapters.parallel_entry:parallel_entry",
     "play": "headway.adapters.conformance:play",
     "plots": "headway.stats.plots",
-    "select": "headway.store:select",
+    "select": "headway.store.query:select",
 }
 __all__ = [
     "CHECKS",

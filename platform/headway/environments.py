@@ -59,7 +59,7 @@ def chosen_env(config: EnvConfig) -> ChosenEnv:
 
 def _module_entry(config: EnvConfig, arguments: Iterable[str]) -> EnvEntry:
     from headway.adapters.modules import module_entry
-    from headway.adapters.parallel_entry import AdapterOptions
+    from headway.adapters.pettingzoo import AdapterOptions
 
     options = AdapterOptions(
         shared_reward=config.shared_reward,

@@ -105,19 +105,14 @@ def wrapper_entry(name: str, path: str = "") -> WrapperEntry:
     before = f"{path}: " if path else ""
     if reason is not None:
         raise HeadwayError(f"{before}{name} cannot be used: {reason}")
-    try:
-        return wrapper_entries()[name]
-    except KeyError:
-        raise HeadwayError(
-            f"{before}unknown wrapper {name!r}; {suggestion(name, wrapper_entries())}"
-        ) from None
+    return _named(wrapper_entries(), name, "wrapper", before)
 
 
-def _named(entries: Mapping[str, Entry], name: str, kind: str) -> Entry:
+def _named(entries: Mapping[str, Entry], name: str, kind: str, before: str = "") -> Entry:
     try:
         return entries[name]
     except KeyError:
-        raise HeadwayError(f"unknown {kind} {name!r}; {suggestion(name, entries)}") from None
+        raise HeadwayError(f"{before}unknown {kind} {name!r}; {suggestion(name, entries)}") from None
 
 
 def _load(

@@ -6,30 +6,30 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Box, EnvSpec, Observations
+from headway.contracts import Box, Observations
 from headway.contracts.acting_policy import Parameters
 from headway_algos.acting.mlp import MLPActingPolicy
-from headway_algos.replay_config import ReplayConfig
 
 Shapes = dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
 
 
 @dataclass(frozen=True)
-class ExploringNetworks:
+class ExploringPolicy:
     """P stacked networks, and the current exploration of each policy."""
+
+    any_block: ClassVar[bool] = True
 
     perceptron: MLPActingPolicy
 
     def parameter_shapes(self, replicas: int) -> Shapes:
-        """Return the shapes of the networks' parameters and of `exploration` (P, 1, 1)."""
+        """Return the shapes of the networks' parameters and of `exploration` (P, 1, 1).
+
+        It is epsilon, or the scale of the noise.
+        """
         shapes = self.perceptron.parameter_shapes(replicas)
         shapes.pop("log_std", None)
         stack = replicas * self.perceptron.grouping.num_policies
         return shapes | {"exploration": ((stack, 1, 1), np.dtype(self.perceptron.precision))}
-
-    def outputs(self, parameters: Parameters, observed: Observations) -> NDArray[Any]:
-        """Return the network outputs of each agent, (C, N, A); 0 if it is not alive."""
-        return self.perceptron.outputs(parameters, observed)
 
     def exploration(self, parameters: Parameters, copies: int) -> NDArray[np.float64]:
         """Return the exploration of each agent's policy, (C, N)."""
@@ -39,36 +39,23 @@ class ExploringNetworks:
 
 
 @dataclass(frozen=True)
-class EpsilonGreedyPolicy:
+class EpsilonGreedyPolicy(ExploringPolicy):
     """The best allowed action or, with probability epsilon, a uniformly random allowed one."""
-
-    any_block: ClassVar[bool] = True
-
-    networks: ExploringNetworks
-
-    @classmethod
-    def of(cls, config: ReplayConfig, spec: EnvSpec) -> "EpsilonGreedyPolicy":
-        """Return the policy of an algorithm's config for an environment."""
-        return cls(ExploringNetworks(MLPActingPolicy.of(config, spec)))
-
-    def parameter_shapes(self, replicas: int) -> Shapes:
-        """Return the shapes of the networks' parameters and of `exploration`, which is epsilon."""
-        return self.networks.parameter_shapes(replicas)
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
         """Draw uniforms (T, N, 2): one decides whether to explore, the other which action."""
-        return generator.random((steps, self.networks.perceptron.spec.num_agents, 2))
+        return generator.random((steps, self.perceptron.spec.num_agents, 2))
 
     def act(
         self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Implement `headway.contracts.ActingPolicy.act`. Agents not alive get any action."""
-        values = self.networks.outputs(parameters, observed)
+        values = self.perceptron.outputs(parameters, observed)
         allowed = np.ones(values.shape, np.bool_)
         if observed.action_masks is not None:
             allowed = observed.action_masks | ~observed.alive[..., None]
         best: NDArray[np.int64] = np.where(allowed, values, -np.inf).argmax(axis=-1)
-        epsilon = self.networks.exploration(parameters, len(values))
+        epsilon = self.exploration(parameters, len(values))
         choices = allowed.sum(axis=-1)
         actions = best
         if noise is not None:
@@ -79,7 +66,7 @@ class EpsilonGreedyPolicy:
 
 
 @dataclass(frozen=True)
-class OrnsteinUhlenbeckPolicy:
+class OrnsteinUhlenbeckPolicy(ExploringPolicy):
     """A deterministic policy with additive Ornstein-Uhlenbeck noise x:
 
         x' = (1 - theta) x + sigma n,   n standard normal;   action = m + h (tanh(network) + scale x')
@@ -88,16 +75,8 @@ class OrnsteinUhlenbeckPolicy:
     noise x is the agent's hidden state: 0 where its stream begins, unchanged while the agent is not alive.
     """
 
-    any_block: ClassVar[bool] = True
-
-    networks: ExploringNetworks
     theta: float
     sigma: float
-
-    @classmethod
-    def of(cls, config: ReplayConfig, spec: EnvSpec, theta: float, sigma: float) -> "OrnsteinUhlenbeckPolicy":
-        """Return the policy of an algorithm's config for an environment with bounded Box actions."""
-        return cls(ExploringNetworks(MLPActingPolicy.of(config, spec)), theta, sigma)
 
     @property
     def hidden_size(self) -> int:
@@ -111,17 +90,13 @@ class OrnsteinUhlenbeckPolicy:
 
     @property
     def _box(self) -> Box:
-        space = self.networks.perceptron.spec.action_space
+        space = self.perceptron.spec.action_space
         assert isinstance(space, Box)
         return space
 
-    def parameter_shapes(self, replicas: int) -> Shapes:
-        """Return the shapes of the networks' parameters and of `exploration`, the scale of the noise."""
-        return self.networks.parameter_shapes(replicas)
-
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
         """Draw standard normals (T, N, A)."""
-        return generator.standard_normal((steps, self.networks.perceptron.spec.num_agents, self.hidden_size))
+        return generator.standard_normal((steps, self.perceptron.spec.num_agents, self.hidden_size))
 
     def act(
         self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
@@ -143,9 +118,9 @@ class OrnsteinUhlenbeckPolicy:
         policy has no density.
         """
         low, high = np.array(self._box.low), np.array(self._box.high)
-        chosen = np.tanh(self.networks.outputs(parameters, observed))
+        chosen = np.tanh(self.perceptron.outputs(parameters, observed))
         if noise is not None:
-            scale = self.networks.exploration(parameters, len(chosen))
+            scale = self.exploration(parameters, len(chosen))
             moved = (1 - self.theta) * hidden_states + self.sigma * noise
             hidden_states = np.where(observed.alive[..., None], moved, hidden_states)
             chosen = chosen + scale[..., None] * hidden_states

@@ -1,7 +1,7 @@
 """The stack of policies that a learner trains: device, metrics per replica, and divergence check."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -9,9 +9,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import EnvSpec, HeadwayError
+from headway.contracts import EnvSpec, HeadwayError, Trajectory, generator
+from headway_algos.agent_id import agent_ids
+from headway_algos.batches.layout import Layout
 from headway_algos.config import LearnerConfig
 from headway_algos.grouping import Grouping
+from headway_algos.networks.normalisation import RunningStatistics
 
 
 def resolve_device(device: str) -> torch.device:
@@ -26,16 +29,33 @@ def resolve_device(device: str) -> torch.device:
         raise HeadwayError(f"device: {device!r} is not a device; use device=auto, cpu or cuda") from None
 
 
-@dataclass(frozen=True)
-class Stack:
-    """P = R x K policies, replica-major."""
+class PolicyStack:
+    """P = R x K policies, replica-major: what learners have in common."""
 
-    grouping: Grouping
-    spec: EnvSpec
-    seeds: tuple[int, ...]
-    """(R,): one per replica."""
+    config: LearnerConfig
 
-    def raise_if_diverged(self, acting: Mapping[str, NDArray[Any]], config: LearnerConfig, when: str) -> None:
+    def __init__(self, config: LearnerConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> None:
+        """`seeds` (R,): one per replica. Observations of `self.spec` include the agents' indices, if any."""
+        self.config, self.agent_ids = config, agent_ids(config, spec)
+        size = spec.observation_size + self.agent_ids.shape[1]
+        self.spec, self.seeds = replace(spec, observation_size=size), tuple(seeds)
+        self.device, self.dtype = resolve_device(device), getattr(torch, config.precision)
+        self.grouping = Grouping.of(config.policies, self.spec)
+        self.layout = Layout(self.grouping, len(seeds), self.device, self.dtype)
+
+    def generators(self, purpose: str, iteration: int) -> list[np.random.Generator]:
+        """Return a generator per policy (P,), for one purpose of one iteration."""
+        policies = range(self.grouping.num_policies)
+        return [generator(seed, purpose, k, iteration) for seed in self.seeds for k in policies]
+
+    def include_observations(self, moments: RunningStatistics, trajectory: Trajectory) -> None:
+        """Include the observations of live agents in the statistics, if observations are normalised."""
+        if self.config.normalise_observations:
+            alive = trajectory.alive[:-1]
+            rows = self.layout.rows(trajectory.observations[:-1], alive)
+            moments.include(rows, self.layout.selection(alive))
+
+    def raise_if_diverged(self, acting: Mapping[str, NDArray[Any]], when: str) -> None:
         """Raise HeadwayError, naming policy and seed, if acting parameters (P, ., .) are not all finite.
 
         `when`: for instance "iteration 7".
@@ -46,8 +66,8 @@ class Stack:
                 replica, policy = divmod(int(broken.argmax()), self.grouping.num_policies)
                 owner = self.grouping.owner(policy, self.spec)
                 raise HeadwayError(
-                    f"{config.name} diverged: the policy of {owner}, seed {self.seeds[replica]}, is not "
-                    f"finite after {when}; {remedy(config)}"
+                    f"{self.config.name} diverged: the policy of {owner}, seed {self.seeds[replica]}, is not "
+                    f"finite after {when}; {remedy(self.config)}"
                 )
 
 

@@ -24,40 +24,12 @@ from headway_algos.kernels.minibatch_steps import (
 )
 from headway_algos.kernels.moments import write_moments
 from headway_algos.kernels.perceptron import (
-    ACTIVATIONS,
     ROWS,
     TANH,
-    Perceptrons,
     activate_stack,
     evaluate,
     perceptrons,
 )
-
-__all__ = [
-    "ACTIVATIONS",
-    "ROWS",
-    "TANH",
-    "Adam",
-    "BoxActions",
-    "DiscreteActions",
-    "Perceptrons",
-    "PolicyData",
-    "RowIndices",
-    "Targets",
-    "activate_stack",
-    "add_transposed_jacobian",
-    "descend_categorical",
-    "descend_gaussian",
-    "descend_returns",
-    "evaluate",
-    "multiply_jacobian",
-    "perceptrons",
-    "step_networks",
-    "store_activations",
-    "warm",
-    "write_advantages",
-    "write_moments",
-]
 
 
 def warm() -> None:

@@ -18,8 +18,7 @@ from headway_algos.networks.distributions import (
     MaskedCategorical,
 )
 from headway_algos.networks.gru import RecurrentNetwork
-from headway_algos.networks.mlp import acting_arrays
-from headway_algos.networks.network import make_network
+from headway_algos.networks.network import acting_arrays, make_network
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.networks.timeline import Timeline
 
@@ -81,16 +80,10 @@ class Actor(nn.Module):
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that the acting policy reads, by its names."""
-        dtype = self.network.weights[0].dtype
-        tensors = {
-            "observation_mean": self.moments.mean.to(dtype),
-            "observation_scale": self.moments.scale.to(dtype),
-        }
-        for i, (weight, bias) in enumerate(zip(self.network.weights, self.network.biases, strict=True)):
-            tensors[f"weight_{i}"], tensors[f"bias_{i}"] = weight, bias
+        others: dict[str, Tensor] = {}
         if isinstance(self.network, RecurrentNetwork):
             units = ("weight_input", "weight_memory", "bias_input", "bias_memory")
-            tensors |= {f"gru_{name}": getattr(self.network, name) for name in units}
+            others = {f"gru_{name}": getattr(self.network, name) for name in units}
         if self.log_std is not None:
-            tensors["log_std"] = self.log_std
-        return acting_arrays(tensors)
+            others["log_std"] = self.log_std
+        return acting_arrays(self.network, self.moments, others)

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from headway.contracts import HeadwayError
 from headway_algos.acting.mlp import layer_sizes
 from headway_algos.networks.mlp import HIDDEN_GAIN, activated_layer, stacked_matrices
-from headway_algos.networks.timeline import Timeline, hold_hidden, reset_hidden
+from headway_algos.networks.timeline import Timeline
 
 
 def gated_step(from_input: Tensor, hidden: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
@@ -100,9 +100,9 @@ class RecurrentNetwork(nn.Module):
             strict=False,
         ):  # fmt: skip
             assert now is not None
-            before = reset_hidden(hidden, continues)
+            before = hidden if continues is None else hidden * continues
             found.append(gated_step(now, before, self.weight_memory, self.bias_memory))
-            hidden = hold_hidden(before, found[-1], keeps)
+            hidden = found[-1] if keeps is None else torch.where(keeps, found[-1], before)
         return torch.cat(found, dim=2)
 
 

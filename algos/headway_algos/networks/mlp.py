@@ -6,7 +6,7 @@ against 240 us with rows first.
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from headway.contracts import generator
 from headway_algos.acting.mlp import layer_sizes
-from headway_algos.kernels import TANH, activate_stack, evaluate
+from headway_algos.kernels.perceptron import TANH, activate_stack, evaluate
 from headway_algos.networks.timeline import Timeline
 
 HIDDEN_GAIN = {"tanh": 5 / 3, "relu": 2**0.5}
@@ -100,14 +100,6 @@ def stacked_matrices(
         for k in range(networks_per_seed)
     ]
     return nn.Parameter(torch.tensor(np.stack(stack), dtype=dtype))
-
-
-def acting_arrays(tensors: Mapping[str, Tensor]) -> dict[str, NDArray[Any]]:
-    """Convert tensors to arrays in C order, for `Learner.acting_parameters`.
-
-    OpenBLAS rounds the product of a transposed matrix differently from that of a copy in C order.
-    """
-    return {name: np.ascontiguousarray(tensor.detach().cpu().numpy()) for name, tensor in tensors.items()}
 
 
 class StackedMLP(nn.Module):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from headway_algos.acting.mlp import OBSERVATION_CLIP
-from headway_algos.kernels import write_moments
+from headway_algos.kernels.moments import write_moments
 
 
 class RunningStatistics(nn.Module):

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Self
 
-import torch
 from torch import Tensor
 
 
@@ -35,13 +34,3 @@ class Timeline:
             return by_step[..., sequences].flatten(2)
 
         return type(self)(self.hidden[policies][..., sequences], cut(self.continues), cut(self.keeps))
-
-
-def reset_hidden(hidden: Tensor, continues: Tensor | None) -> Tensor:
-    """Return hidden states (P, M, n), set to 0 where a stream begins: `continues` (P, 1, n) is 0 there."""
-    return hidden if continues is None else hidden * continues
-
-
-def hold_hidden(before: Tensor, after: Tensor, keeps: Tensor | None) -> Tensor:
-    """Return hidden states (P, M, n) after a step: `after` where `keeps` (P, 1, n) is true, else `before`."""
-    return after if keeps is None else torch.where(keeps, after, before)

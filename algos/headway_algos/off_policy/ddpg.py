@@ -10,6 +10,7 @@ from torch import Tensor
 
 from headway.contracts import Box, EnvSpec
 from headway_algos.networks.mlp import StackedMLP
+from headway_algos.off_policy.learner import Method
 from headway_algos.off_policy.replay_buffer import Batch
 from headway_algos.off_policy.target_networks import (
     TargetNetwork,
@@ -24,8 +25,8 @@ ACTOR_GAIN = 0.01
 """Gain of the actor's last layer, so that initial actions are near mid-range (the paper's section 7)."""
 
 
-class DeterministicPolicyGradient:
-    """Actors mu(o) and critics Q(o, u) with target networks; a `headway_algos.off_policy.learner.Method`.
+class DeterministicPolicyGradient(Method):
+    """Actors mu(o) and critics Q(o, u) with target networks.
 
     Networks work with actions scaled to [-1, 1], and with 0 in a dimension whose bounds are equal.
     """
@@ -117,21 +118,13 @@ class DeterministicPolicyGradient:
         self.critic_optimiser.anneal(share)
 
     @property
-    def _parts(self) -> dict[str, Any]:
+    def parts(self) -> dict[str, Any]:
+        """Actors, critics, their target networks and optimisers."""
         return {
             "actor": self.network, "critic": self.critic,
             "slow_actor": self.target_actor, "slow_critic": self.target_critic,
             "actor_optimiser": self.actor_optimiser, "critic_optimiser": self.critic_optimiser,
         }  # fmt: skip
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the states of networks, target networks and optimisers."""
-        return {name: part.state_dict() for name, part in self._parts.items()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
-        for name, part in self._parts.items():
-            part.load_state_dict(state[name])
 
 
 def _bounded(outputs: Tensor) -> Tensor:

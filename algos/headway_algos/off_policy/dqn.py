@@ -14,6 +14,7 @@ from torch import Tensor
 from headway.contracts import EnvSpec
 from headway_algos.acting.mlp import actor_outputs
 from headway_algos.networks.mlp import StackedMLP
+from headway_algos.off_policy.learner import Method
 from headway_algos.off_policy.replay_buffer import Batch
 from headway_algos.off_policy.target_networks import (
     TargetNetwork,
@@ -26,8 +27,8 @@ from headway_algos.optim.adam import StackedAdam
 from headway_algos.replay_config import MADQNConfig
 
 
-class QLearning:
-    """Networks Q(o, .) and their target networks; a `headway_algos.off_policy.learner.Method`."""
+class QLearning(Method):
+    """Networks Q(o, .) and their target networks."""
 
     METRICS: ClassVar[tuple[str, ...]] = ("critic/loss", "critic/value", "critic/gradient_norm")
 
@@ -68,13 +69,7 @@ class QLearning:
         """Set the learning rate to `share` of its configured value."""
         self.optimiser.anneal(share)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Return the states of networks, target networks and optimiser."""
-        parts: dict[str, Any] = {"network": self.network, "target": self.target, "optimiser": self.optimiser}
-        return {name: part.state_dict() for name, part in parts.items()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
-        self.network.load_state_dict(state["network"])
-        self.target.load_state_dict(state["target"])
-        self.optimiser.load_state_dict(state["optimiser"])
+    @property
+    def parts(self) -> dict[str, Any]:
+        """Network, target network and optimiser."""
+        return {"network": self.network, "target": self.target, "optimiser": self.optimiser}

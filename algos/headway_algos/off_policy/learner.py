@@ -1,68 +1,71 @@
 """The off-policy learner: store transitions, draw minibatches, update one stack of policies by any method."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import EnvSpec, Trajectory, generator
-from headway_algos.agent_id import agent_ids, spec_with_ids, trajectory_with_ids
-from headway_algos.batches.layout import Layout
-from headway_algos.batches.policy_stack import Stack, mean_per_replica, resolve_device
-from headway_algos.grouping import Grouping
-from headway_algos.networks.mlp import StackedMLP, acting_arrays
+from headway.contracts import EnvSpec, Trajectory
+from headway_algos.agent_id import trajectory_with_ids
+from headway_algos.batches.policy_stack import PolicyStack, mean_per_replica
+from headway_algos.networks.mlp import StackedMLP
+from headway_algos.networks.network import acting_arrays
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.off_policy.replay_buffer import Batch, ReplayBuffer
 from headway_algos.off_policy.transitions import TransitionBuilder
 from headway_algos.replay_config import ReplayConfig
 
 
-class Method(Protocol):
-    """Update of a stack of policies from batches of transitions."""
+class Method(ABC):
+    """Update of a stack of policies from batches of transitions; its state is that of its parts."""
 
     METRICS: ClassVar[tuple[str, ...]]
     """Names of the metrics that `learn` returns."""
     network: StackedMLP
     """The network that the acting policy uses."""
 
+    @property
+    @abstractmethod
+    def parts(self) -> dict[str, Any]:
+        """Networks, target networks and optimisers, by their names in states."""
+
+    @abstractmethod
     def learn(self, batch: Batch, active: NDArray[np.bool_]) -> dict[str, Tensor]:
         """Take one step of the `active` (P,) networks on normalised observations; return metrics (P,)."""
-        ...
 
+    @abstractmethod
     def anneal(self, share: float) -> None:
         """Set the learning rates to `share` of their configured values."""
-        ...
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything needed to continue exactly."""
-        ...
+        return {name: part.state_dict() for name, part in self.parts.items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
-        ...
+        for name, part in self.parts.items():
+            part.load_state_dict(state[name])
 
 
 MakeMethod = Callable[[Any, EnvSpec, Sequence[int], int, torch.device], Method]
 """(config, environment, seeds of the R replicas, K, device) -> method."""
 
 
-class OffPolicyLearner:
+class OffPolicyLearner(PolicyStack):
     """A `headway.contracts.LearnerWithReplay` for R replicas x K policies, with one replay buffer each."""
+
+    config: ReplayConfig
 
     def __init__(
         self, config: ReplayConfig, spec: EnvSpec, seeds: Sequence[int], device: str, method: MakeMethod
     ) -> None:
-        self.agent_ids = agent_ids(config, spec)
-        spec = spec_with_ids(spec, self.agent_ids)
-        self.config, self.spec, self.seeds = config, spec, tuple(seeds)
-        self.device, self.dtype = resolve_device(device), getattr(torch, config.precision)
-        self.grouping = Grouping.of(config.policies, spec)
-        self.stack = Stack(self.grouping, spec, self.seeds)
-        self.layout = Layout(self.grouping, len(seeds), self.device, self.dtype)
+        super().__init__(config, spec, seeds, device)
+        spec = self.spec
         policies = len(seeds) * self.grouping.num_policies
         self.method = method(config, spec, self.seeds, self.grouping.num_policies, self.device)
         self.moments = RunningStatistics(policies, spec.observation_size).to(self.device)
@@ -84,15 +87,8 @@ class OffPolicyLearner:
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
         """Return network, observation normaliser and exploration, as named by the acting policy."""
-        network, stack = self.method.network, len(self.replay.filled)
-        tensors = {
-            "observation_mean": self.moments.mean.to(self.dtype),
-            "observation_scale": self.moments.scale.to(self.dtype),
-            "exploration": torch.full((stack, 1, 1), self.exploration, dtype=self.dtype),
-        }
-        for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
-            tensors[f"weight_{i}"], tensors[f"bias_{i}"] = weight, bias
-        return acting_arrays(tensors)
+        exploration = torch.full((len(self.replay.filled), 1, 1), self.exploration, dtype=self.dtype)
+        return acting_arrays(self.method.network, self.moments, {"exploration": exploration})
 
     def update(
         self, trajectory: Trajectory, iteration: int, progress: float
@@ -100,26 +96,20 @@ class OffPolicyLearner:
         """Store the iteration's transitions, then take `updates` gradient steps."""
         trajectory = trajectory_with_ids(trajectory, self.agent_ids)
         explored = self.exploration
-        self.method.anneal(1 - (1 - self.config.lr_end) * progress)
-        self._update_normaliser(trajectory)
+        self.method.anneal(self.config.lr_factor(progress))
+        self.include_observations(self.moments, trajectory)
         self._store(trajectory)
         info = self._learn(iteration)
         steps, copies = trajectory.rewards.shape[:2]
         self.progress, self.scheduled_steps = progress, self.env_steps
         self.env_steps += steps * copies // len(self.seeds)
-        self.stack.raise_if_diverged(self.acting_parameters(), self.config, f"iteration {iteration}")
+        self.raise_if_diverged(self.acting_parameters(), f"iteration {iteration}")
         held = torch.from_numpy(self.replay.filled)
         metrics = {name: mean_per_replica(value, len(self.seeds)) for name, value in info.items()}
         return metrics | {
             "memory/transitions": mean_per_replica(held, len(self.seeds)),
             "policy/exploration": np.full(len(self.seeds), explored),
         }
-
-    def _update_normaliser(self, trajectory: Trajectory) -> None:
-        if self.config.normalise_observations:
-            alive = trajectory.alive[:-1]
-            rows = self.layout.rows(trajectory.observations[:-1], alive)
-            self.moments.include(rows, self.layout.selection(alive))
 
     def _store(self, trajectory: Trajectory) -> None:
         transitions = self.transition_builder.transitions(trajectory)
@@ -135,8 +125,7 @@ class OffPolicyLearner:
             for name in self.method.METRICS
         }
         stepped = torch.from_numpy(active).to(self.device)
-        policies = range(self.grouping.num_policies)
-        random = [generator(seed, "replay", k, iteration) for seed in self.seeds for k in policies]
+        random = self.generators("replay", iteration)
         updates = self.config.updates
         scale = self.replay.return_scale().to(self.dtype) if self.config.normalise_rewards else None
         for slots in self.replay.draws(random, active, (updates, self.config.batch_size)):

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from headway.contracts import Contribution, EnvSpec, Trajectory
 from headway.contracts.acting_policy import Parameters
+from headway_algos.config import A3CConfig
 from headway_algos.networks.normalisation import RunningStatistics
-from headway_algos.on_policy.a3c_config import A3CConfig
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.updates.config import GradientUpdateConfig
@@ -49,7 +49,7 @@ class _Shared:
     @property
     def optimisers(self) -> dict[str, StackedAdam]:
         """Optimisers of actor and critic."""
-        regression = self.critic.regression.optimiser
+        regression = self.critic.optimiser
         assert isinstance(regression, StackedAdam)
         return {"actor": self.actor.optimiser, "critic": regression}
 
@@ -89,8 +89,8 @@ class A2CContributor:
     def __init__(self, config: GradientUpdateConfig, spec: EnvSpec, seeds: Sequence[int]) -> None:
         torch.set_num_threads(1)
         _return_large_blocks()
-        self.learner = OnPolicyLearner(replace(config, grad_clip=None), spec, seeds, "cpu")
-        self.learner.unit = "contribution"
+        config = replace(config, grad_clip=None)
+        self.learner = OnPolicyLearner(config, spec, seeds, "cpu", unit="contribution")
         self.shared = _Shared.of(self.learner)
 
     def adopt(self, published: Parameters) -> Parameters:
@@ -145,7 +145,7 @@ class AsynchronousA2CLearner(OnPolicyLearner):
 
     def apply(self, contribution: Contribution, iteration: int, progress: float) -> None:
         """Clip the contributed gradients, which may stem from older parameters, and take one step."""
-        share = 1 - (1 - self.config.lr_end) * progress
+        share = self.config.lr_factor(progress)
         arrays = contribution.arrays
         for part, optimiser in self.shared.optimisers.items():
             optimiser.anneal(share)
@@ -157,4 +157,4 @@ class AsynchronousA2CLearner(OnPolicyLearner):
             if name in arrays:
                 count, mean, squares = torch.as_tensor(arrays[name], device=self.device)
                 moments.add(count[..., :1], mean, squares)
-        self.stack.raise_if_diverged(self.acting_parameters(), self.config, f"iteration {iteration}")
+        self.raise_if_diverged(self.acting_parameters(), f"iteration {iteration}")

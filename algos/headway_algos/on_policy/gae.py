@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from headway_algos.kernels.gae import write_advantages
+
 Array = NDArray[np.float64]
 
 
@@ -31,8 +33,6 @@ def generalised_advantages(
     and semi-MDPs"). Advantages of absent steps are 0 and values there are ignored; the value of an agent
     absent after the last step is 0. The recursion is `kernels.gae.write_advantages`.
     """
-    from headway_algos.kernels import write_advantages
-
     advantages = np.empty(rewards.shape)
     given = (rewards, values, final_values, terminated, truncated, present)
     arrays: list[Any] = [np.ascontiguousarray(array).reshape(len(array), -1) for array in given]

@@ -11,14 +11,12 @@ from torch import Tensor
 
 from headway.contracts import EnvSpec, HeadwayError, Trajectory, generator
 from headway_algos.acting.policy import acting_policy
-from headway_algos.agent_id import agent_ids, spec_with_ids, trajectory_with_ids
+from headway_algos.agent_id import trajectory_with_ids
 from headway_algos.batches.hidden_states import HiddenStates
-from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch, standardise
-from headway_algos.batches.policy_stack import Stack, mean_per_replica, remedy, resolve_device
+from headway_algos.batches.policy_stack import PolicyStack, mean_per_replica, remedy
 from headway_algos.components import component
 from headway_algos.config import AlgoConfig
-from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
@@ -27,23 +25,26 @@ from headway_algos.on_policy.orders import Order
 from headway_algos.on_policy.updates import Update
 
 
-class OnPolicyLearner:
+class OnPolicyLearner(PolicyStack):
     """A `headway.contracts.Learner` composed of a critic, an update and an order."""
 
-    unit = "iteration"
-    """What `update` counts, for error lines."""
+    config: AlgoConfig
 
     def __init__(
-        self, config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str, step_scale: float = 1.0
+        self,
+        config: AlgoConfig,
+        spec: EnvSpec,
+        seeds: Sequence[int],
+        device: str,
+        step_scale: float = 1.0,
+        unit: str = "iteration",
     ) -> None:
-        """`step_scale`: factor on the learning rates; KL bounds are multiplied by its square."""
-        self.step_scale, self.agent_ids = step_scale, agent_ids(config, spec)
-        spec = spec_with_ids(spec, self.agent_ids)
-        self.config, self.spec, self.seeds = config, spec, tuple(seeds)
-        self.device, self.dtype = resolve_device(device), getattr(torch, config.precision)
-        self.grouping = Grouping.of(config.policies, spec)
-        self.stack = Stack(self.grouping, spec, self.seeds)
-        self.layout = Layout(self.grouping, len(seeds), self.device, self.dtype)
+        """`step_scale`: factor on the learning rates; KL bounds are multiplied by its square.
+
+        `unit`: what `update` counts, for error lines.
+        """
+        super().__init__(config, spec, seeds, device)
+        self.step_scale, self.unit, spec = step_scale, unit, self.spec
         policies = self.grouping.num_policies
         self.actor = Actor(config.model, spec, seeds, policies, self.dtype).to(self.device)
         self.policy_update: Update = component("update", config.update).make(self.actor, config, self.layout)
@@ -63,7 +64,7 @@ class OnPolicyLearner:
     ) -> dict[str, NDArray[np.float64]]:
         """Compute advantages, then update policies, critic and normalisers, in this order."""
         trajectory = self._drop_unused_slots(trajectory_with_ids(trajectory, self.agent_ids))
-        share = self.step_scale * (1 - (1 - self.config.lr_end) * progress)
+        share = self.step_scale * self.config.lr_factor(progress)
         self.policy_update.anneal(share)
         self.critic.anneal(share)
         observations = self._observations(trajectory)
@@ -76,8 +77,10 @@ class OnPolicyLearner:
         critic_metrics = self.critic.fit(estimate, iteration)
         # Each of these is as large as all observations; the normalisers allocate as much again.
         del observations, hidden_states, estimate
-        self._update_normalisers(trajectory)
-        self.stack.raise_if_diverged(self.acting_parameters(), self.config, f"{self.unit} {iteration}")
+        # The running statistics apply from the next iteration on.
+        self.critic.update_normalisers(trajectory)
+        self.include_observations(self.actor.moments, trajectory)
+        self.raise_if_diverged(self.acting_parameters(), f"{self.unit} {iteration}")
         metrics = {f"policy/{name}": mean_per_replica(value, len(self.seeds)) for name, value in info.items()}
         return metrics | {f"critic/{name}": value for name, value in critic_metrics.items()}
 
@@ -142,18 +145,10 @@ class OnPolicyLearner:
         by_policy = self.layout.rows(np.broadcast_to(advantages, alive.shape))
         if self.config.normalise_advantages:
             by_policy = standardise(by_policy, torch.from_numpy(selected).to(self.device))
-        generators = self._generators("actor minibatch", iteration)
+        generators = self.generators("actor minibatch", iteration)
         order_generators = [generator(seed, "agent order", iteration) for seed in self.seeds]
         improve: Order = component("order", self.config.order).make
         return improve(self.policy_update, self.grouping, rows, by_policy, generators, order_generators)
-
-    def _update_normalisers(self, trajectory: Trajectory) -> None:
-        """Include this iteration in the running statistics, which apply from the next one on."""
-        self.critic.update_normalisers(trajectory)
-        if self.config.normalise_observations:
-            alive = trajectory.alive[:-1]
-            rows = self.layout.rows(trajectory.observations[:-1], alive)
-            self.actor.moments.include(rows, self.layout.selection(alive))
 
     def _raise_if_critic_diverged(self, advantages: NDArray[np.float64], iteration: int) -> None:
         """Raise HeadwayError, naming the seed, if advantages (T, C, W) are not finite.
@@ -167,10 +162,6 @@ class OnPolicyLearner:
                 f"{self.config.name} diverged: the critic of seed {seed} gives values that are not finite at "
                 f"{self.unit} {iteration}; {remedy(self.config, of_critic=True)}"
             )
-
-    def _generators(self, purpose: str, iteration: int) -> list[np.random.Generator]:
-        policies = range(self.grouping.num_policies)
-        return [generator(seed, purpose, k, iteration) for seed in self.seeds for k in policies]
 
     def state_dict(self) -> dict[str, Any]:
         """Return the states of policies, critic and update."""

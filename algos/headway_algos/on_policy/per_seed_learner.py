@@ -1,14 +1,14 @@
 """A stack of learners with one seed each, which never mixes seeds in one matrix product."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from headway.contracts import Learner, Trajectory
+from headway_algos.on_policy.nested_states import map_tensors
 
 
 class PerSeedLearner:
@@ -44,33 +44,13 @@ class PerSeedLearner:
 
     def state_dict(self) -> dict[str, Any]:
         """Return the learners' states as one, concatenated along the policy axis."""
-        joined: dict[str, Any] = _joined([learner.state_dict() for learner in self.learners])
+        states = [learner.state_dict() for learner in self.learners]
+        joined: dict[str, Any] = map_tensors(lambda *parts: torch.cat(parts), *states)
         return joined
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the result of `state_dict`, or the state of one learner of R seeds."""
+        count = len(self.learners)
         for r, learner in enumerate(self.learners):
-            learner.load_state_dict(_split(state, r, len(self.learners)))
-
-
-def _joined(states: Sequence[Any]) -> Any:  # noqa: ANN401 - states are nested plain values
-    """Join states: concatenate tensors along their first axis, take everything else from the first state."""
-    first = states[0]
-    if isinstance(first, Tensor):
-        return torch.cat(list(states))
-    if isinstance(first, Mapping):
-        return {name: _joined([state[name] for state in states]) for name in first}
-    if isinstance(first, list):
-        return [_joined(parts) for parts in zip(*states, strict=True)]
-    return first
-
-
-def _split(state: Any, index: int, parts: int) -> Any:  # noqa: ANN401 - states are nested plain values
-    """Return part `index` of a state joined from `parts` equal ones: the inverse of `_joined`."""
-    if isinstance(state, Tensor):
-        return torch.tensor_split(state, parts)[index]
-    if isinstance(state, Mapping):
-        return {name: _split(value, index, parts) for name, value in state.items()}
-    if isinstance(state, list):
-        return [_split(value, index, parts) for value in state]
-    return state
+            own = map_tensors(lambda tensor, r=r: torch.tensor_split(tensor, count)[r], state)
+            learner.load_state_dict(own)

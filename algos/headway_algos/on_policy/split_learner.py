@@ -4,7 +4,7 @@ With N independent policies each sees 1/N of the data that a shared policy would
 shared policy, on all agents' data; after the split the policies can specialise.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from torch import Tensor
 from headway.contracts import EnvSpec, Trajectory
 from headway_algos.config import SimultaneousConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.on_policy.nested_states import map_tensors
 
 
 class SplitLearner:
@@ -65,17 +66,16 @@ class SplitLearner:
         (self.separate if self.is_split else self.shared).load_state_dict(state["learner"])
 
 
-def _repeat_per_policy(one: Any, like: Any, times: int) -> Any:  # noqa: ANN401 - states are nested plain values
+def _repeat_per_policy(one: dict[str, Any], like: dict[str, Any], times: int) -> dict[str, Any]:
     """Repeat each tensor (R, ...) of a state to (R x times, ...) if its counterpart in `like` is that long.
 
     Tensors with one entry per replica in both, such as a team's critic, are copied unchanged.
     """
-    if isinstance(one, Tensor):
-        # `like` is None for the hidden states of a critic before its first update.
-        alike = like is None or one.shape == like.shape
-        return one.clone() if alike else one.repeat_interleave(times, dim=0)
-    if isinstance(one, Mapping):
-        return {name: _repeat_per_policy(value, like[name], times) for name, value in one.items()}
-    if isinstance(one, list):
-        return [_repeat_per_policy(value, other, times) for value, other in zip(one, like, strict=True)]
-    return one
+
+    def repeated(tensor: Tensor, other: Tensor | None) -> Tensor:
+        # `other` is None for the hidden states of a critic before its first update.
+        alike = other is None or tensor.shape == other.shape
+        return tensor.clone() if alike else tensor.repeat_interleave(times, dim=0)
+
+    result: dict[str, Any] = map_tensors(repeated, one, like)
+    return result

@@ -5,7 +5,7 @@ from copy import copy
 from dataclasses import dataclass
 from itertools import accumulate
 from math import inf
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.optim.adam import adam
 
-if TYPE_CHECKING:
-    from headway_algos.kernels import Adam
+from headway_algos.kernels.adam import Adam, step_networks
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-5
 
@@ -85,17 +84,13 @@ class StackedAdam:
         return norm
 
     def _step_compiled(self, active: NDArray[np.bool_]) -> Tensor:
-        from headway_algos.kernels import step_networks
-
         values, gradient, _, _ = self._arrays
         norms = np.empty(len(active), values.dtype)
         step_networks(values, gradient, self.kernel_state(), active, norms)
         return torch.from_numpy(norms)
 
-    def kernel_state(self) -> "Adam":
+    def kernel_state(self) -> Adam:
         """Return state and settings for kernels, which change the state in place."""
-        from headway_algos.kernels import Adam
-
         bound = inf if self.grad_clip is None else float(self.grad_clip)
         _, _, means, squares = self._arrays
         return Adam(means, squares, self.counts, float(self.lr), bound, (BETA_1, BETA_2), EPSILON)

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,20 +12,19 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from headway_algos.batches.schedule import MinibatchSchedule
+from headway_algos.kernels.minibatch_steps import RowIndices
+from headway_algos.kernels.perceptron import ACTIVATIONS, Perceptrons, perceptrons
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.networks.network import Network
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.gradient_steps import Steps
-
-if TYPE_CHECKING:
-    from headway_algos.kernels import Perceptrons
 
 ENABLED = True
 """False: torch computes the gradients of minibatches and the Fisher products, for comparison. Forward passes
 without gradients, tanh, Adam's steps, GAE and statistics stay compiled."""
 
 
-def kernel_networks(network: Network, optimiser: StackedAdam) -> "Perceptrons | None":
+def kernel_networks(network: Network, optimiser: StackedAdam) -> Perceptrons | None:
     """Return the arrays of networks and optimiser for kernels, or None if torch is to be used."""
     return kernel_networks_at(network, optimiser.values.whole, optimiser.gradient.whole, optimiser.starts)
 
@@ -35,7 +34,7 @@ def kernel_networks_at(
     values: Tensor,
     gradient: Tensor,
     starts: Callable[[Iterable[nn.Parameter]], list[int]],
-) -> "Perceptrons | None":
+) -> Perceptrons | None:
     """Return the arrays of a stack of networks for kernels, or None if torch is to be used.
 
     Each parameter begins in `values` and `gradient` (P, V) at the offset that `starts` returns for it.
@@ -43,15 +42,13 @@ def kernel_networks_at(
     supported = not values.is_cuda and values.dtype == torch.float32
     if not (ENABLED and supported) or not isinstance(network, StackedMLP):
         return None
-    from headway_algos.kernels import ACTIVATIONS, perceptrons
-
     layers = np.array([(w.shape[2], w.shape[1], *starts((w, b))) for w, b in network.by_layer()])
     return perceptrons(values.numpy(), gradient.numpy(), layers, ACTIVATIONS[network.activation])
 
 
 def compiled_steps(
     kernel: Callable[..., None],
-    networks: "Perceptrons",
+    networks: Perceptrons,
     optimiser: StackedAdam,
     data: Sequence[Any],
     num_metrics: int,
@@ -59,8 +56,6 @@ def compiled_steps(
     """Return the steps that a kernel takes on `data`, with `num_metrics` metrics per network."""
 
     def take_steps(schedule: MinibatchSchedule) -> tuple[Tensor, Tensor]:
-        from headway_algos.kernels import RowIndices
-
         stack = len(networks.values)
         metrics, norms = np.zeros((stack, num_metrics), np.float32), np.zeros(stack, np.float32)
         steps = np.zeros(stack, np.float32)

@@ -16,6 +16,8 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from headway_algos.batches.whole_batch import WholeBatch
+from headway_algos.kernels.jacobian import add_transposed_jacobian, multiply_jacobian, store_activations
+from headway_algos.kernels.perceptron import ROWS
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import DiagonalGaussian
 from headway_algos.networks.linearised import LinearisedMLP
@@ -55,32 +57,30 @@ def compiled_gauss_newton(actor: Actor, batch: WholeBatch) -> FisherProduct | No
     networks = kernel_networks_at(actor.network, values, result, lambda some: [starts[id(p)] for p in some])
     if networks is None:
         return None
-    from headway_algos import kernels
-
     stack, width, inputs = batch.observations.shape
     counts = (batch.weight > 0).sum(1).numpy()
-    blocks, features = -(-width // kernels.ROWS), len(networks.activations)
+    blocks, features = -(-width // ROWS), len(networks.activations)
     # Whole blocks: torch may compute the last lanes of a tensor differently, to the last bits.
-    stored = np.zeros((stack, blocks, features, kernels.ROWS), np.float32)
-    none = blocks * kernels.ROWS - width
+    stored = np.zeros((stack, blocks, features, ROWS), np.float32)
+    none = blocks * ROWS - width
     weight = pad(batch.weight, (0, none))[:, None]
     masks = None if batch.masks is None else pad(batch.masks, (0, 0, 0, none), value=True)
     index = np.arange(stack * width).reshape(stack, width)
     rows = batch.observations.contiguous().numpy().reshape(stack * width, inputs)
-    kernels.store_activations(networks, rows, index, counts, stored)
+    store_activations(networks, rows, index, counts, stored)
     size = networks.outputs
-    outputs = stored[:, :, -size:].swapaxes(1, 2).reshape(stack, size, blocks * kernels.ROWS)
+    outputs = stored[:, :, -size:].swapaxes(1, 2).reshape(stack, size, blocks * ROWS)
     with torch.no_grad():
         distribution = actor.distribution(torch.from_numpy(outputs), masks)
-    changes = torch.zeros(stack, size, blocks * kernels.ROWS)
+    changes = torch.zeros(stack, size, blocks * ROWS)
     has_rows = batch.has_rows.to(batch.weight.dtype).view(-1, 1)
     free = 0 if actor.log_std is None else parameters[0][0].numel()
 
     def product(vector: Tensor) -> Tensor:
         result.zero_()
-        kernels.multiply_jacobian(networks, vector.contiguous().numpy(), stored, counts, changes.numpy())
+        multiply_jacobian(networks, vector.contiguous().numpy(), stored, counts, changes.numpy())
         signals = distribution.fisher_of_outputs(changes) * weight
-        kernels.add_transposed_jacobian(networks, signals.contiguous().numpy(), stored, counts)
+        add_transposed_jacobian(networks, signals.contiguous().numpy(), stored, counts)
         result[:, :free] = DiagonalGaussian.LOG_STD_FISHER * has_rows * vector[:, :free]
         return result.clone()
 

@@ -288,6 +288,3 @@ class BusConfig:
     def ticks(self) -> int:
         """Number of control intervals in a day: the length of an episode."""
         return int(self.day_s // self.tick_s)
-
-
-__all__ = ["SCENARIOS", "BusConfig", "NoiseConfig", "RewardConfig", "UpkeepConfig"]

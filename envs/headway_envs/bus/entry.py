@@ -20,7 +20,7 @@ ENTRY = EnvEntry(
     rules={
         "always_move": RuleEntry(
             "leaves every stop and terminal at once, and never goes to the service centre",
-            Lazy("headway_envs.bus.rules:AlwaysMove"),
+            partial(Lazy("headway_envs.constant_action:ConstantAction"), action=1),
         ),
         "move_with_service": RuleEntry(
             "as always_move, but goes to service in time, as the holding rules do",

@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Discrete, EnvSpec, HeadwayError, Observations, StepResult
+from headway.contracts import Discrete, EnvSpec, Observations, StepResult
 from headway_envs.array_env import ArrayEnv, Snapshot, copied
 from headway_envs.bus.kernel import tick
-from headway_envs.bus.kernel.allocation import allocate_outputs, allocate_trace, allocate_world, state_size
-from headway_envs.bus.kernel.layout import METRICS, OBSERVATION_SIZES, Outputs, World
+from headway_envs.bus.kernel.allocation import allocate_trace, allocate_world, state_size
+from headway_envs.bus.kernel.layout import OBSERVATION_SIZES, Outputs, World
+from headway_envs.bus.metrics import METRICS
 from headway_envs.bus.prepared import Prepared
 
 _WAITING = ("arrived_at", "leaves_at")
@@ -34,16 +35,9 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
 
         Raises HeadwayError for fewer than one copy.
         """
-        if copies < 1:
-            raise HeadwayError(f"copies must be at least 1, not {copies}")
         config, self.prepared = prepared.config, prepared
         self.network = prepared.network
         self.settings = prepared.settings
-        self.world = allocate_world(self.network, copies, config.capacity)
-        self.outputs = allocate_outputs(self.network, copies, config.observation, prepared.full_state)
-        self.trace = allocate_trace(self.network, copies, traced)
-        self._truncated = np.zeros((copies, len(self.network.slot_line)), np.bool_)
-        self._terminated = self._truncated.copy()
         self._spec = EnvSpec(
             name="bus",
             agents=prepared.agents,
@@ -55,9 +49,14 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
             shared_in_groups=config.reward.scope == "line",
             has_action_mask=True,
             agents_come_and_go=True,
-            metrics=tuple(METRICS),
+            metrics=METRICS,
             snapshots=True,
         )
+        self.outputs = Outputs(**self._arrays(copies, Outputs._fields))
+        self.world = allocate_world(self.network, copies, config.capacity)
+        self.trace = allocate_trace(self.network, copies, traced)
+        ends = self._arrays(copies, ("terminated", "truncated"))
+        self._outcome = self._result(**ends)
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         """Advance by one control interval; actions (C, N) int64 of 0 to 2.
@@ -71,18 +70,8 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
         outputs = self.outputs
         if tick.step(self.network, self.settings, self.world, outputs, actions, self.trace):
             tick.start_next_days(self.network, self.settings, self.world, outputs)
-        self._terminated[...] = outputs.ended[:, None]
-        outcome = StepResult(
-            rewards=outputs.rewards,
-            terminated=self._terminated,
-            truncated=self._truncated,
-            acting=outputs.acting,
-            episode_ended=outputs.ended,
-            final_observations=outputs.final_observations,
-            final_states=outputs.final_states,
-            metrics=outputs.metrics,
-        )
-        return outcome, self.observed()
+        self._outcome.terminated[...] = outputs.ended[:, None]
+        return self._outcome, self.observed()
 
     def observed(self) -> Observations:
         """Return the current observations, states, alive mask and action masks.

@@ -26,3 +26,5 @@ METRIC_DESCRIPTIONS = {
     "reward_regularity": "regularity component c, mean over control intervals, unweighted",
     "team_reward": "sum of the team's reward over the day",
 }
+METRICS = tuple(METRIC_DESCRIPTIONS)
+"""Names, in the order in which the kernel fills them."""

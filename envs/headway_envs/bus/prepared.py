@@ -6,9 +6,9 @@ Imports only numpy and the kernel's records, because every worker unpickles it; 
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
+from headway_envs.array_env import record
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.kernel.layout import SCOPE_LINE, SCOPE_OWN, SCOPE_TEAM, SETTINGS, Network
 
@@ -52,52 +52,20 @@ class Prepared:
     @property
     def settings(self) -> NDArray[Any]:
         """The configuration as one SETTINGS record, shape (1,)."""
-        settings = np.zeros(1, SETTINGS)
-        for name, value in _settings(self).items():
-            settings[name] = value
-        return settings
+        return record(SETTINGS, _settings(self))
 
 
 def _settings(prepared: Prepared) -> dict[str, float]:
-    """Return the values of the SETTINGS fields by name."""
+    """Return the values of the SETTINGS fields by name.
+
+    A value of the configuration that has the name of a field is passed on unchanged.
+    """
     config = prepared.config
     noise, upkeep, reward = config.noise, config.upkeep, config.reward
     others = (1.0 - config.captive_share) * config.arrivals_per_boarding
-    names = [
-        "tick_s",
-        "hold_s",
-        "boarding_s",
-        "alighting_s",
-        "fixed_dwell_s",
-        "dispatch_window_s",
-        "minimum_layover_s",
-        "capacity",
-    ]
-    noise_names = [
-        "trip_sd",
-        "day_sd",
-        "evening_peak",
-        "network_sd",
-        "incident_probability",
-        "incident_factor",
-        "demand_day_sd",
-        "demand_stop_hour_sd",
-        "dispatch_s",
-    ]
-    upkeep_names = [
-        "fuel_capacity",
-        "idle_share",
-        "warning",
-        "wear_growth",
-        "broken_s",
-        "service_s",
-        "service_below",
-        "depot_gap_s",
-    ]
+    given = {**vars(config), **vars(noise), **vars(upkeep)}
     return {
-        **{name: getattr(config, name) for name in names},
-        **{name: getattr(noise, name) for name in noise_names},
-        **{name: getattr(upkeep, name) for name in upkeep_names},
+        **{name: given[name] for name in SETTINGS.fields or () if name in given},
         "start_s": config.start_hour * 3600.0,
         "end_s": config.end_hour * 3600.0,
         "captive_arrivals": config.captive_share / (config.captive_share + others),

@@ -14,7 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from headway.contracts import BatchedEnv
 from headway_envs.bus.env import BusBatchedEnv
-from headway_envs.bus.kernel.layout import AWAY, BROKEN, DEPOT, DRIVING, METRICS
+from headway_envs.bus.kernel.layout import AWAY, BROKEN, DEPOT, DRIVING
+from headway_envs.bus.metrics import METRICS
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.measures import METRES_PER_DEGREE
 

@@ -147,16 +147,6 @@ def _before_schedule(fleet: FleetState) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class AlwaysMove:
-    """Baseline without holding or service: buses leave every stop and terminal at once."""
-
-    prepared: "Prepared"
-
-    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        return np.full(observed.alive.shape, MOVE, np.int64)
-
-
-@dataclass(frozen=True)
 class MoveWithService:
     """Baseline that never holds but sends buses to service like the holding rules.
 

@@ -101,6 +101,3 @@ class BusPublishedConfig:
     def routes(self) -> int:
         """Number of routes in use."""
         return -(-self.agents // self.agents_per_route)
-
-
-__all__ = ["BusPublishedConfig", "RewardConfig"]

@@ -19,11 +19,11 @@ ENTRY = EnvEntry(
     rules={
         "always_move": RuleEntry(
             "MOVE at every step, and never to the service centre",
-            partial(Lazy("headway_envs.bus_published.rules:Always"), action=1),
+            partial(Lazy("headway_envs.constant_action:ConstantAction"), action=1),
         ),
         "always_wait": RuleEntry(
             "WAIT at every step: no bus leaves its first stop",
-            partial(Lazy("headway_envs.bus_published.rules:Always"), action=0),
+            partial(Lazy("headway_envs.constant_action:ConstantAction"), action=0),
         ),
         "move_with_service": RuleEntry(
             f"MOVE, and to service once the uptime is below {SERVICE_BELOW:g} and the fuel lasts for the way",

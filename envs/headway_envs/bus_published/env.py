@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Discrete, EnvSpec, HeadwayError, Observations, StepResult
+from headway.contracts import Discrete, EnvSpec, Observations, StepResult
 from headway_envs.array_env import ArrayEnv
 from headway_envs.bus_published.kernel import steps
 from headway_envs.bus_published.kernel.layout import (
@@ -13,11 +13,11 @@ from headway_envs.bus_published.kernel.layout import (
     BUS,
     CALL,
     DAY,
-    METRICS,
     OBSERVATION_SIZE,
     Outputs,
     World,
 )
+from headway_envs.bus_published.metrics import METRICS
 from headway_envs.bus_published.prepared import Prepared
 
 
@@ -33,26 +33,7 @@ class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
 
     def __init__(self, prepared: Prepared, copies: int) -> None:
         """Allocate `copies` copies. Raises HeadwayError for fewer than one copy."""
-        if copies < 1:
-            raise HeadwayError(f"copies must be at least 1, not {copies}")
         self.prepared, self.network, self.settings = prepared, prepared.network, prepared.settings
-        buses = len(prepared.agents)
-        self.world = World(
-            days=np.zeros(copies, DAY),
-            buses=np.zeros((copies, buses), BUS),
-            calls=np.zeros((copies, len(self.network.call_stop)), CALL),
-        )
-        self.outputs = Outputs(
-            observations=np.zeros((copies, buses, OBSERVATION_SIZE), np.float32),
-            rewards=np.zeros((copies, buses), np.float32),
-            terminated=np.zeros((copies, buses), np.bool_),
-            truncated=np.zeros((copies, buses), np.bool_),
-            ended=np.zeros(copies, np.bool_),
-            final_observations=np.zeros((copies, buses, OBSERVATION_SIZE), np.float32),
-            metrics=np.zeros((copies, len(METRICS))),
-        )
-        self._always = np.ones((copies, buses), np.bool_)
-        self._no_state = np.zeros((copies, 0), np.float32)
         self._spec = EnvSpec(
             name="bus_published",
             agents=prepared.agents,
@@ -60,29 +41,26 @@ class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
             action_space=Discrete(ACTIONS),
             groups=prepared.groups,
             shared_reward=prepared.config.reward.scope == "team",
-            metrics=tuple(METRICS),
+            metrics=METRICS,
             snapshots=True,
         )
+        self.outputs = Outputs(**self._arrays(copies, Outputs._fields))
+        self.world = World(
+            days=np.zeros(copies, DAY),
+            buses=np.zeros((copies, len(prepared.agents)), BUS),
+            calls=np.zeros((copies, len(self.network.call_stop)), CALL),
+        )
+        self._always = np.ones(self.outputs.rewards.shape, np.bool_)
+        self._no_state = np.zeros((copies, 0), np.float32)
+        self._outcome = self._result(acting=self._always, final_states=self._no_state)
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         """Apply one action per bus; actions (C, N) int64 of 0 to 2.
 
         Raises ValueError for any other shape of actions.
         """
-        actions = self._checked(actions)
-        outputs = self.outputs
-        steps.step(self.network, self.settings, self.world, outputs, actions)
-        outcome = StepResult(
-            rewards=outputs.rewards,
-            terminated=outputs.terminated,
-            truncated=outputs.truncated,
-            acting=self._always,
-            episode_ended=outputs.ended,
-            final_observations=outputs.final_observations,
-            final_states=self._no_state,
-            metrics=outputs.metrics,
-        )
-        return outcome, self.observed()
+        steps.step(self.network, self.settings, self.world, self.outputs, self._checked(actions))
+        return self._outcome, self.observed()
 
     def observed(self) -> Observations:
         """Return the current observations: views of the environment's arrays."""

@@ -12,3 +12,5 @@ METRIC_DESCRIPTIONS = {
     "regularity": "mean over moves of the regularity h in the reward, 0 to 1",
     "efficiency": "mean over moves of the efficiency t in the reward, 0 to 1",
 }
+METRICS = tuple(METRIC_DESCRIPTIONS)
+"""Names, in the order in which the kernel fills them."""

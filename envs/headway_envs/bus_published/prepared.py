@@ -6,9 +6,9 @@ Imports only numpy and the kernel's records until `prepare` is called.
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
+from headway_envs.array_env import record
 from headway_envs.bus_published.config import BusPublishedConfig
 from headway_envs.bus_published.kernel.layout import SETTINGS, Network
 
@@ -39,26 +39,19 @@ class Prepared:
         """The configuration as one SETTINGS record, shape (1,)."""
         config, reward = self.config, self.config.reward
         scaled = config.observation == "scaled"
-        values = {
+        given = {**vars(config), **vars(reward)}
+        values = {name: given[name] for name in SETTINGS.fields or () if name in given} | {
             "start_s": config.start_hour * 3600.0,
             "end_s": config.end_hour * 3600.0,
             "weight_occupancy": reward.occupancy,
             "weight_uptime": reward.uptime,
             "weight_regularity": reward.regularity,
             "weight_efficiency": reward.efficiency,
-            "low_occupancy": reward.low_occupancy,
-            "high_occupancy": reward.high_occupancy,
-            "target_headway_s": reward.target_headway_s,
             "demand_unit": max(float(self.network.demand.max()), 1.0) if scaled else 1.0,
             "stop_unit": max(len(self.network.demand) - 1.0, 1.0) if scaled else 1.0,
             "shared": reward.scope == "team",
-            "max_steps": config.max_steps,
-            "agents_per_route": config.agents_per_route,
         }
-        settings = np.zeros(1, SETTINGS)
-        for name, value in values.items():
-            settings[name] = value
-        return settings
+        return record(SETTINGS, values)
 
 
 def prepare(config: BusPublishedConfig) -> Prepared:

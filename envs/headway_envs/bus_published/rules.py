@@ -1,4 +1,4 @@
-"""Simple fixed rules, for comparison."""
+"""A simple fixed rule, for comparison."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,17 +12,6 @@ from headway_envs.bus_published.kernel.layout import DETOUR_SHARE, FUEL_UNIT_S, 
 
 if TYPE_CHECKING:
     from headway_envs.bus_published.prepared import Prepared
-
-
-@dataclass(frozen=True)
-class Always:
-    """Baseline that takes the same action in every step."""
-
-    prepared: "Prepared"
-    action: int
-
-    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        return np.full(observed.alive.shape, self.action, np.int64)
 
 
 @dataclass(frozen=True)

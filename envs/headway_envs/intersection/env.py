@@ -8,17 +8,14 @@ from numpy.typing import NDArray
 
 from headway.contracts import Box, EnvSpec, HeadwayError, Observations, StepResult, generator
 from headway_envs.intersection import kernel
-from headway_envs.intersection.config import STEP_S, IntersectionConfig
-from headway_envs.intersection.episode_metrics import METRICS, EpisodeMetrics
+from headway_envs.intersection.config import STEP_S
+from headway_envs.intersection.episode_metrics import EpisodeMetrics
 from headway_envs.intersection.layout import ACCOUNT, SCRATCH, STATE_SIZE, Slots
+from headway_envs.intersection.metrics import METRICS
 from headway_envs.intersection.prepared import Prepared
 from headway_envs.intersection.sumo.bridge import Changes, SumoBridge
 from headway_envs.intersection.sumo.simulation import Simulation
-
-
-def shares_reward(config: IntersectionConfig) -> bool:
-    """Return whether every slot receives the team's reward."""
-    return config.reward.kind == "scaled" and config.reward.scope == "team"
+from headway_envs.step_arrays import step_arrays, step_result
 
 
 class IntersectionBatchedEnv:
@@ -43,14 +40,13 @@ class IntersectionBatchedEnv:
         extended = config.observation == "extended"
         slots = self._slots = Slots.empty(config.slots, extended)
         self._account, self._scratch = np.zeros(1, ACCOUNT), np.zeros(1, SCRATCH)
-        size = slots.observations.shape[1]
         self._spec = EnvSpec(
             name="intersection",
             agents=tuple(f"av_{slot}" for slot in range(config.slots)),
-            observation_size=size,
+            observation_size=slots.observations.shape[1],
             action_space=Box((-kernel.MAX_ACCELERATION,), (kernel.MAX_ACCELERATION,)),
             state_size=STATE_SIZE,
-            shared_reward=shares_reward(config),
+            shared_reward=config.reward.kind == "scaled" and config.reward.scope == "team",
             agents_come_and_go=True,
             metrics=METRICS,
             max_copies_per_process=1,
@@ -64,17 +60,8 @@ class IntersectionBatchedEnv:
         self._seed, self._episode = 0, 0
         self.counters = EpisodeMetrics(config)
         self._observed = Observations(slots.observations[None], self._account["state"], slots.alive[None])
-        flags = [np.zeros((1, config.slots), np.bool_) for _ in range(2)]
-        self._outcome = StepResult(
-            rewards=slots.rewards[None],
-            terminated=flags[0],
-            truncated=flags[1],
-            acting=slots.acting[None],
-            episode_ended=np.zeros(1, np.bool_),
-            final_observations=np.zeros((1, config.slots, size), np.float32),
-            final_states=np.zeros((1, STATE_SIZE), np.float32),
-            metrics=np.zeros((1, len(METRICS))),
-        )
+        own = {"rewards": slots.rewards[None], "acting": slots.acting[None]}
+        self._outcome = step_result(step_arrays(self._spec, 1) | own)
 
     @property
     def spec(self) -> EnvSpec:
@@ -168,11 +155,6 @@ class IntersectionBatchedEnv:
             counters.steps / self.config.horizon,
         )
         return changes.crashes > 0
-
-    def hand_over(self, speed_mode: int) -> None:
-        """Let SUMO drive all vehicles as humans with the given speed mode, ignoring actions, until the
-        episode ends."""
-        self.bridge.hand_over(speed_mode)
 
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
         """Raise HeadwayError: a simulation state saved by SUMO does not continue exactly."""

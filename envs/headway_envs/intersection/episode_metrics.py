@@ -6,19 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_envs.intersection.config import STEP_S, TERMS, IntersectionConfig
+from headway_envs.intersection.config import STEP_S, IntersectionConfig
 from headway_envs.intersection.layout import SUMS
 from headway_envs.intersection.sumo.bridge import Changes
 
 GALLONS_PER_ML = 0.000264172
-METRICS = (
-    "team_return", "paper_return", "collisions", "inflow_vph", "outflow_vph", "efficiency",
-    "inflow_warm_vph", "outflow_warm_vph", "vehicles", "pending", "speed", "speed_av", "speed_hdv",
-    "acceleration_av", "acceleration_hdv", "hardest_braking_av", "hardest_braking_hdv", "fuel_gal_s",
-    "standstill_share", "avs", "avs_through", "avs_without_slot", "travel_time_av_s", "worst_approach_s",
-    "fairness_jain", "sumo_steps", *(f"reward_{term}" for term in TERMS),
-)  # fmt: skip
-"""Names, in the order of `EpisodeMetrics.metrics`; `intersection.metrics` describes them."""
 
 
 @dataclass
@@ -65,7 +57,10 @@ class EpisodeMetrics:
             self.travel_s.append(seconds)
 
     def metrics(self, account: np.void) -> list[float]:
-        """Return the metrics in the order of METRICS; `account`: an ACCOUNT record with the kernel's sums."""
+        """Return the metrics in the order of `metrics.METRICS`.
+
+        `account`: an ACCOUNT record with the kernel's sums.
+        """
         total, steps = {name: float(account[name]) for name in SUMS}, max(self.steps, 1)
         seconds = steps * STEP_S
         late = seconds - self.config.warm_up_s

@@ -33,3 +33,5 @@ METRIC_DESCRIPTIONS = {
     "sumo_steps": "number of SUMO steps of 0.1 s in the episode; `length` counts actions",
     **{f"reward_{term}": f"term {term.replace('_', ' ')} {_TERM}" for term in TERMS},
 }
+METRICS = tuple(METRIC_DESCRIPTIONS)
+"""Names, in the order of `EpisodeMetrics.metrics`."""

@@ -45,7 +45,8 @@ class Humans:
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
         """Return zeros (1, N, 1), which the environment ignores."""
-        _require_intersection(env).hand_over(ALL_CHECKS if self.right_of_way else SAFE_GAP_ONLY)
+        speed_mode = ALL_CHECKS if self.right_of_way else SAFE_GAP_ONLY
+        _require_intersection(env).bridge.hand_over(speed_mode)
         return _constant_actions(observed)
 
 

@@ -150,6 +150,3 @@ class MergeConfig:
     def dynamics(self) -> Dynamics:
         """Dynamics of the preset."""
         return PRESETS[self.preset]
-
-
-__all__ = ["CAVS", "HDVS", "MAX_CAVS", "PRESETS", "Dynamics", "MergeConfig", "RewardConfig"]

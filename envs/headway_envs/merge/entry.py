@@ -9,7 +9,7 @@ from headway_envs.merge.metrics import METRIC_DESCRIPTIONS
 RULES: dict[str, RuleEntry] = {
     "idle": RuleEntry(
         "keeps lane and speed: CAVs on a ramp lane hit its end",
-        Lazy("headway_envs.merge.rules:Idle"),
+        partial(Lazy("headway_envs.constant_action:ConstantAction"), action=1),
     ),
     "always_left": RuleEntry(
         "changes to the left as soon as the mask allows it, and keeps the speed",

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Discrete, EnvSpec, HeadwayError, Observations, StepResult
+from headway.contracts import Discrete, EnvSpec, Observations, StepResult
 from headway_envs.array_env import ArrayEnv
 from headway_envs.merge.kernel import steps
 from headway_envs.merge.kernel.layout import (
@@ -13,13 +13,13 @@ from headway_envs.merge.kernel.layout import (
     CAR,
     CAR_STATE,
     EPISODE,
-    METRICS,
     OBSERVATION_SIZE,
     PREDICTED_STEPS,
     Outputs,
     Workspace,
     World,
 )
+from headway_envs.merge.metrics import METRICS
 from headway_envs.merge.prepared import Prepared
 
 
@@ -36,50 +36,36 @@ class MergeBatchedEnv(ArrayEnv[World, Outputs]):
 
     def __init__(self, prepared: Prepared, copies: int) -> None:
         """Allocate `copies` copies. Raises HeadwayError for fewer than one copy."""
-        if copies < 1:
-            raise HeadwayError(f"copies must be at least 1, not {copies}")
         config, self.prepared, self.network = prepared.config, prepared, prepared.network
         slots, cars = len(prepared.agents), prepared.vehicles
-        state = CAR_STATE * cars + 1
         self.settings = prepared.settings
+        self._spec = EnvSpec(
+            name=prepared.name,
+            agents=prepared.agents,
+            observation_size=OBSERVATION_SIZE,
+            action_space=Discrete(ACTIONS),
+            state_size=CAR_STATE * cars + 1,
+            shared_reward=config.reward.scope == "global",
+            has_action_mask=config.dynamics.masks,
+            agents_come_and_go=True,
+            metrics=METRICS,
+            snapshots=True,
+        )
+        arrays = self._arrays(copies, Outputs._fields)
         self.world = World(
             episodes=np.zeros(copies, EPISODE),
             cars=np.zeros((copies, cars + len(self.network.obstacles)), CAR),
         )
         self.outputs = Outputs(
-            observations=np.zeros((copies, slots, OBSERVATION_SIZE), np.float32),
-            states=np.zeros((copies, state), np.float32),
-            alive=np.zeros((copies, slots), np.bool_),
-            masks=np.ones((copies, slots, ACTIONS), np.bool_),
-            rewards=np.zeros((copies, slots), np.float32),
-            acting=np.zeros((copies, slots), np.bool_),
-            terminated=np.zeros((copies, slots), np.bool_),
-            truncated=np.zeros((copies, slots), np.bool_),
-            ended=np.zeros(copies, np.bool_),
-            final_observations=np.zeros((copies, slots, OBSERVATION_SIZE), np.float32),
-            final_states=np.zeros((copies, state), np.float32),
-            final_episodes=np.zeros(copies, EPISODE),
-            final_cars=np.zeros_like(self.world.cars),
-            metrics=np.zeros((copies, len(METRICS))),
+            **arrays, final_episodes=np.zeros(copies, EPISODE), final_cars=np.zeros_like(self.world.cars)
         )
+        self._outcome = self._result()
         self._work = Workspace(
             ghosts=np.zeros(2, CAR),
             predicted=np.zeros((4, PREDICTED_STEPS, 4)),
             priorities=np.zeros(slots),
             allowed=np.zeros(ACTIONS, np.bool_),
             own=np.zeros(slots, np.float32),
-        )
-        self._spec = EnvSpec(
-            name=prepared.name,
-            agents=prepared.agents,
-            observation_size=OBSERVATION_SIZE,
-            action_space=Discrete(ACTIONS),
-            state_size=state,
-            shared_reward=config.reward.scope == "global",
-            has_action_mask=config.dynamics.masks,
-            agents_come_and_go=True,
-            metrics=tuple(METRICS),
-            snapshots=True,
         )
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
@@ -88,19 +74,9 @@ class MergeBatchedEnv(ArrayEnv[World, Outputs]):
         A change to a lane that does not exist or is closed is ignored. Raises ValueError for any other shape
         of actions.
         """
-        outputs = self.outputs
-        steps.step(self.network, self.settings, self.world, self._work, outputs, self._checked(actions))
-        outcome = StepResult(
-            rewards=outputs.rewards,
-            terminated=outputs.terminated,
-            truncated=outputs.truncated,
-            acting=outputs.acting,
-            episode_ended=outputs.ended,
-            final_observations=outputs.final_observations,
-            final_states=outputs.final_states,
-            metrics=outputs.metrics,
-        )
-        return outcome, self.observed()
+        actions = self._checked(actions)
+        steps.step(self.network, self.settings, self.world, self._work, self.outputs, actions)
+        return self._outcome, self.observed()
 
     def observed(self) -> Observations:
         """Return the current observations: views of the environment's arrays."""

@@ -13,3 +13,5 @@ METRIC_DESCRIPTIONS = {
     "steps": "number of steps of the episode",
     "interventions": "number of actions changed by the safety supervisor",
 }
+METRICS = tuple(METRIC_DESCRIPTIONS)
+"""Names, in the order in which the kernel fills them."""

@@ -3,9 +3,9 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
+from headway_envs.array_env import record
 from headway_envs.merge.config import MergeConfig
 from headway_envs.merge.kernel.layout import SETTINGS, Network
 from headway_envs.merge.network import build
@@ -55,10 +55,7 @@ class Prepared:
             "ramp_lanes": self.ramp_lanes,
             "supervisor": config.supervisor,
         }
-        settings = np.zeros(1, SETTINGS)
-        for name, value in values.items():
-            settings[name] = value
-        return settings
+        return record(SETTINGS, values)
 
 
 def prepare(config: MergeConfig, ramp_lanes: int) -> Prepared:

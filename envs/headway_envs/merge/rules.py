@@ -15,16 +15,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Idle:
-    """Keep lane and speed. CAVs on a ramp lane hit its end."""
-
-    prepared: "Prepared"
-
-    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        return np.full(observed.alive.shape, IDLE, np.int64)
-
-
-@dataclass(frozen=True)
 class AlwaysLeft:
     """Change to the left as soon as the mask allows it, without regard to other vehicles."""
 

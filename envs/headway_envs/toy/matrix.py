@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult
 from headway.contracts.checks import require_key
+from headway_envs.toy.toy_env import ToyEnv
 
 CLIMBING = ((11.0, -30.0, 0.0), (-30.0, 7.0, 6.0), (0.0, 0.0, 5.0))
 NUM_AGENTS = 2
@@ -33,7 +34,7 @@ class MatrixConfig:
         require_key(bool(np.isfinite(self.payoff).all()), "payoff", "must hold finite numbers only")
 
 
-class Matrix:
+class Matrix(ToyEnv):
     """The matrix game in C copies.
 
     Each agent observes its index (one-hot, D = 2); every step ends the episode.
@@ -41,7 +42,7 @@ class Matrix:
 
     def __init__(self, config: MatrixConfig, copies: int) -> None:
         self._payoff = np.array(config.payoff, dtype=np.float64)
-        self._spec = EnvSpec(
+        spec = EnvSpec(
             name="matrix",
             agents=("row", "column"),
             observation_size=NUM_AGENTS,
@@ -51,38 +52,19 @@ class Matrix:
             metrics=("optimal",),
             snapshots=True,
         )
-        agents = (copies, NUM_AGENTS)
-        observations = np.tile(np.eye(NUM_AGENTS, dtype=np.float32), (copies, 1, 1))
-        alive = np.ones(agents, dtype=np.bool_)
-        self._observed = Observations(observations, np.ones((copies, 1), dtype=np.float32), alive)
-        self._outcome = StepResult(
-            rewards=np.zeros(agents, dtype=np.float32),
-            terminated=np.ones(agents, dtype=np.bool_),
-            truncated=np.zeros(agents, dtype=np.bool_),
-            acting=alive,
-            episode_ended=np.ones(copies, dtype=np.bool_),
-            final_observations=observations,
-            final_states=self._observed.states,
-            metrics=np.zeros((copies, 1), dtype=np.float64),
-        )
-
-    @property
-    def spec(self) -> EnvSpec:
-        return self._spec
-
-    @property
-    def num_copies(self) -> int:
-        return len(self._observed.alive)
+        super().__init__(spec, copies)
+        observed, outcome = self._observed, self._outcome
+        observed.observations[:] = outcome.final_observations[:] = np.eye(NUM_AGENTS, dtype=np.float32)
+        observed.states.fill(1)
+        outcome.final_states.fill(1)
+        outcome.terminated.fill(True)
+        outcome.episode_ended.fill(True)
 
     @property
     def best(self) -> tuple[int, int]:
         """Row and column of the largest payoff."""
         row, column = np.unravel_index(int(np.argmax(self._payoff)), self._payoff.shape)
         return int(row), int(column)
-
-    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
-        """Begin an episode; `seeds` have no effect, because nothing is random."""
-        return self._observed
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         payoff = self._payoff[actions[:, 0], actions[:, 1]]
@@ -96,8 +78,11 @@ class Matrix:
     def restore(self, snapshot: None) -> Observations:
         return self._observed
 
-    def close(self) -> None:
-        pass
+    def _begin(self, episode: int) -> None:
+        """Do nothing: nothing is random, and an episode has no state."""
+
+    def _show(self) -> Observations:
+        return self._observed
 
 
 @dataclass(frozen=True)

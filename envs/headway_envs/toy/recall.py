@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult, generator
 from headway.contracts.checks import require_at_least
+from headway_envs.toy.toy_env import ToyEnv
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class RecallConfig:
         require_at_least(2, steps=self.steps, cues=self.cues)
 
 
-class Recall:
+class Recall(ToyEnv):
     """The memory task in C copies, all at the same step.
 
     Each agent observes its own cue (one-hot, at the first step only) and whether the answer is due (D = cues
@@ -38,7 +39,7 @@ class Recall:
 
     def __init__(self, config: RecallConfig, copies: int) -> None:
         self._config, n = config, config.agents
-        self._spec = EnvSpec(
+        spec = EnvSpec(
             name="recall",
             agents=tuple(f"agent_{index}" for index in range(n)),
             observation_size=config.cues + 1,
@@ -46,43 +47,13 @@ class Recall:
             metrics=("recalled",),
             snapshots=True,
         )
-        self._seeds = np.zeros(copies, dtype=np.uint64)
-        self._episode = 0
-        self._step = 0
+        super().__init__(spec, copies)
         self._cues = np.zeros((copies, n), dtype=np.int64)
-        self._observed = Observations(
-            observations=np.zeros((copies, n, config.cues + 1), dtype=np.float32),
-            states=np.zeros((copies, 0), dtype=np.float32),
-            alive=np.ones((copies, n), dtype=np.bool_),
-        )
-        self._outcome = StepResult(
-            rewards=np.zeros((copies, n), dtype=np.float32),
-            terminated=np.zeros((copies, n), dtype=np.bool_),
-            truncated=np.zeros((copies, n), dtype=np.bool_),
-            acting=self._observed.alive,
-            episode_ended=np.zeros(copies, dtype=np.bool_),
-            final_observations=np.zeros((copies, n, config.cues + 1), dtype=np.float32),
-            final_states=np.zeros((copies, 0), dtype=np.float32),
-            metrics=np.zeros((copies, 1), dtype=np.float64),
-        )
-
-    @property
-    def spec(self) -> EnvSpec:
-        return self._spec
-
-    @property
-    def num_copies(self) -> int:
-        return len(self._seeds)
 
     @property
     def cues(self) -> NDArray[np.int64]:
         """(C, N) cues of the current episode."""
         return self._cues
-
-    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
-        self._seeds[:] = seeds
-        self._begin(episode=0)
-        return self._show()
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome = self._outcome
@@ -106,9 +77,6 @@ class Recall:
         self._begin(episode)
         self._step = step
         return self._show()
-
-    def close(self) -> None:
-        pass
 
     def _begin(self, episode: int) -> None:
         self._episode, self._step = episode, 0

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Box, EnvSpec, Observations, StepResult, generator
 from headway.contracts.checks import require_at_least, require_value
+from headway_envs.toy.toy_env import ToyEnv
 
 DIMENSIONS = 2
 SPEED = 0.1
@@ -66,7 +67,7 @@ def regulator(config: TrackingConfig) -> tuple[NDArray[np.float64], NDArray[np.f
     return gains, values
 
 
-class Tracking:
+class Tracking(ToyEnv):
     """The tracking task in C copies.
 
     Agents observe (e, v), D = 4, and act within [-2, 2]; the state holds all e, then v.
@@ -74,56 +75,25 @@ class Tracking:
 
     def __init__(self, config: TrackingConfig, copies: int) -> None:
         self._config, n = config, config.agents
-        size = 2 * DIMENSIONS
-        self._spec = EnvSpec(
+        spec = EnvSpec(
             name="tracking",
             agents=tuple(f"agent_{index}" for index in range(n)),
-            observation_size=size,
+            observation_size=2 * DIMENSIONS,
             action_space=Box((-2.0,) * DIMENSIONS, (2.0,) * DIMENSIONS),
             state_size=(n + 1) * DIMENSIONS,
             metrics=("distance", "effort"),
             snapshots=True,
         )
-        self._seeds = np.zeros(copies, dtype=np.uint64)
-        self._episode = 0
-        self._step = 0
+        super().__init__(spec, copies)
         self._offset = np.zeros((copies, n, DIMENSIONS))
         self._velocity = np.zeros((copies, 1, DIMENSIONS))
         self._noise = np.zeros((config.steps, copies, n, DIMENSIONS))
         self._sums = np.zeros((copies, 2))
-        self._observed = Observations(
-            observations=np.zeros((copies, n, size), dtype=np.float32),
-            states=np.zeros((copies, (n + 1) * DIMENSIONS), dtype=np.float32),
-            alive=np.ones((copies, n), dtype=np.bool_),
-        )
-        self._outcome = StepResult(
-            rewards=np.zeros((copies, n), dtype=np.float32),
-            terminated=np.zeros((copies, n), dtype=np.bool_),
-            truncated=np.zeros((copies, n), dtype=np.bool_),
-            acting=self._observed.alive,
-            episode_ended=np.zeros(copies, dtype=np.bool_),
-            final_observations=np.zeros((copies, n, size), dtype=np.float32),
-            final_states=np.zeros((copies, (n + 1) * DIMENSIONS), dtype=np.float32),
-            metrics=np.zeros((copies, 2), dtype=np.float64),
-        )
-
-    @property
-    def spec(self) -> EnvSpec:
-        return self._spec
-
-    @property
-    def num_copies(self) -> int:
-        return len(self._seeds)
 
     @property
     def steps_taken(self) -> int:
         """Number of steps taken in the current episode, the same for all copies."""
         return self._step
-
-    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
-        self._seeds[:] = seeds
-        self._begin(episode=0)
-        return self._show()
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome = self._outcome
@@ -161,9 +131,6 @@ class Tracking:
         self._offset[:] = snapshot["offset"]
         self._sums[:] = snapshot["sums"]
         return self._show()
-
-    def close(self) -> None:
-        pass
 
     def _begin(self, episode: int) -> None:
         self._episode, self._step = episode, 0

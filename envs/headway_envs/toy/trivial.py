@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult, generator
 from headway.contracts.checks import require_at_least
+from headway_envs.toy.toy_env import ToyEnv
 
 OBSERVATION_SIZE = 4
 NUM_ACTIONS = 3
@@ -40,12 +41,12 @@ def agent_names(count: int) -> tuple[str, ...]:
     return tuple(f"agent_{index}" for index in range(count))
 
 
-class Trivial:
+class Trivial(ToyEnv):
     """The cheapest environment in C copies, all at the same step: all episodes have the same length."""
 
     def __init__(self, config: TrivialConfig, copies: int) -> None:
         self._steps, agents = config.steps, config.agents
-        self._spec = EnvSpec(
+        spec = EnvSpec(
             name="trivial",
             agents=agent_names(agents),
             observation_size=OBSERVATION_SIZE,
@@ -55,38 +56,12 @@ class Trivial:
             metrics=("accuracy",),
             snapshots=True,
         )
-        self._seeds = np.zeros(copies, dtype=np.uint64)
-        self._episode = 0
-        self._step = 0
+        super().__init__(spec, copies)
         self._table = np.zeros((config.steps + 1, copies, agents, OBSERVATION_SIZE), dtype=np.float32)
         self._right = np.zeros((config.steps + 1, copies, agents), dtype=np.int64)
         self._matches = np.zeros((copies, agents), dtype=np.bool_)
         self._counts = np.zeros(copies, dtype=np.int64)
         self._total = np.zeros(copies, dtype=np.int64)
-        self._alive = np.ones((copies, agents), dtype=np.bool_)
-        self._outcome = StepResult(
-            rewards=np.zeros((copies, agents), dtype=np.float32),
-            terminated=np.zeros((copies, agents), dtype=np.bool_),
-            truncated=np.zeros((copies, agents), dtype=np.bool_),
-            acting=self._alive,
-            episode_ended=np.zeros(copies, dtype=np.bool_),
-            final_observations=np.zeros((copies, agents, OBSERVATION_SIZE), dtype=np.float32),
-            final_states=np.zeros((copies, agents * OBSERVATION_SIZE), dtype=np.float32),
-            metrics=np.zeros((copies, 1), dtype=np.float64),
-        )
-
-    @property
-    def spec(self) -> EnvSpec:
-        return self._spec
-
-    @property
-    def num_copies(self) -> int:
-        return len(self._seeds)
-
-    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
-        self._seeds[:] = seeds
-        self._begin(episode=0)
-        return self._observed()
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome = self._outcome
@@ -100,7 +75,7 @@ class Trivial:
         self._step += 1
         if self._step == self._steps:
             self._end()
-        return outcome, self._observed()
+        return outcome, self._show()
 
     def snapshot(self) -> tuple[NDArray[np.uint64], int, int, NDArray[np.int64]]:
         return self._seeds.copy(), self._episode, self._step, self._total.copy()
@@ -113,10 +88,7 @@ class Trivial:
         self._total[:] = total
         self._outcome.truncated.fill(False)
         self._outcome.episode_ended.fill(False)
-        return self._observed()
-
-    def close(self) -> None:
-        pass
+        return self._show()
 
     def _begin(self, episode: int) -> None:
         self._episode, self._step = episode, 0
@@ -141,9 +113,9 @@ class Trivial:
         outcome.metrics[:, 0] = self._total / (self._steps * self._spec.num_agents)
         self._begin(self._episode + 1)
 
-    def _observed(self) -> Observations:
+    def _show(self) -> Observations:
         observations = self._table[self._step]
-        return Observations(observations, observations.reshape(self.num_copies, -1), self._alive)
+        return Observations(observations, observations.reshape(self.num_copies, -1), self._observed.alive)
 
 
 @dataclass(frozen=True)

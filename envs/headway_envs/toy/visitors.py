@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult, generator
 from headway.contracts.checks import require_at_least
+from headway_envs.toy.toy_env import ToyEnv
 
 OPTIONS = 3
 LEAVE, RETURN, READY, RETIRE = 0.15, 0.3, 0.7, 0.3
@@ -75,7 +76,7 @@ def _draw(config: VisitorsConfig, seed: int, episode: int) -> _Episode:
     return _Episode(length, terminates, values, allowed, ready, alive & ~retired, retired)
 
 
-class Visitors:
+class Visitors(ToyEnv):
     """The visitors' environment in C copies.
 
     Observation: values of the options, then 1 if ready (D = 4). State: alive mask, and elapsed share of the
@@ -84,7 +85,7 @@ class Visitors:
 
     def __init__(self, config: VisitorsConfig, copies: int) -> None:
         self._config, n = config, config.agents
-        self._spec = EnvSpec(
+        spec = EnvSpec(
             name="visitors",
             agents=tuple(f"visitor_{index}" for index in range(n)),
             observation_size=OPTIONS + 1,
@@ -95,43 +96,11 @@ class Visitors:
             metrics=("regret", "disallowed", "choices"),
             snapshots=True,
         )
-        self._seeds = np.zeros(copies, dtype=np.uint64)
+        super().__init__(spec, copies)
         self._numbers = np.zeros(copies, dtype=np.int64)
         self._steps = np.zeros(copies, dtype=np.int64)
         self._sums = np.zeros((copies, 3))
         self._episodes: list[_Episode] = []
-        self._masks = np.zeros((copies, n, OPTIONS), dtype=np.bool_)
-        self._observed = Observations(
-            observations=np.zeros((copies, n, OPTIONS + 1), dtype=np.float32),
-            states=np.zeros((copies, n + 1), dtype=np.float32),
-            alive=np.zeros((copies, n), dtype=np.bool_),
-            action_masks=self._masks,
-        )
-        self._outcome = StepResult(
-            rewards=np.zeros((copies, n), dtype=np.float32),
-            terminated=np.zeros((copies, n), dtype=np.bool_),
-            truncated=np.zeros((copies, n), dtype=np.bool_),
-            acting=np.zeros((copies, n), dtype=np.bool_),
-            episode_ended=np.zeros(copies, dtype=np.bool_),
-            final_observations=np.zeros((copies, n, OPTIONS + 1), dtype=np.float32),
-            final_states=np.zeros((copies, n + 1), dtype=np.float32),
-            metrics=np.zeros((copies, 3), dtype=np.float64),
-        )
-
-    @property
-    def spec(self) -> EnvSpec:
-        return self._spec
-
-    @property
-    def num_copies(self) -> int:
-        return len(self._seeds)
-
-    def reset(self, seeds: NDArray[np.uint64]) -> Observations:
-        self._seeds[:] = seeds
-        self._numbers.fill(0)
-        self._steps.fill(0)
-        self._sums.fill(0)
-        return self._redraw()
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome = self._outcome
@@ -140,7 +109,7 @@ class Visitors:
         for copy in range(self.num_copies):
             self._pay(copy, actions[copy])
             self._advance(copy)
-            self._show(copy)
+            self._show_copy(copy)
         return outcome, self._observed
 
     def snapshot(self) -> tuple[NDArray[Any], ...]:
@@ -152,14 +121,20 @@ class Visitors:
             array[:] = saved
         return self._redraw()
 
-    def close(self) -> None:
-        pass
+    def _begin(self, episode: int) -> None:
+        self._numbers.fill(episode)
+        self._steps.fill(0)
+        self._sums.fill(0)
+        self._redraw()
+
+    def _show(self) -> Observations:
+        return self._observed
 
     def _redraw(self) -> Observations:
         numbers = zip(self._seeds.tolist(), self._numbers.tolist(), strict=True)
         self._episodes = [_draw(self._config, seed, number) for seed, number in numbers]
         for copy in range(self.num_copies):
-            self._show(copy)
+            self._show_copy(copy)
         return self._observed
 
     def _pay(self, copy: int, actions: NDArray[Any]) -> None:
@@ -197,7 +172,7 @@ class Visitors:
             self._numbers[copy] += 1
             self._episodes[copy] = _draw(self._config, int(self._seeds[copy]), int(self._numbers[copy]))
 
-    def _show(self, copy: int) -> None:
+    def _show_copy(self, copy: int) -> None:
         observed, episode, step = self._observed, self._episodes[copy], int(self._steps[copy])
         alive = episode.alive[step]
         observed.alive[copy] = alive
@@ -205,7 +180,8 @@ class Visitors:
         observed.observations[copy, :, OPTIONS] = episode.ready[step]
         observed.observations[copy, ~alive] = np.nan
         observed.states[copy] = self._state(episode, step)
-        self._masks[copy] = episode.allowed[step] & alive[:, None]
+        assert observed.action_masks is not None
+        observed.action_masks[copy] = episode.allowed[step] & alive[:, None]
 
     def _state(self, episode: _Episode, step: int) -> NDArray[np.float32]:
         return np.append(episode.alive[step], step / self._config.steps).astype(np.float32)

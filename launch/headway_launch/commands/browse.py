@@ -36,14 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
+    from headway.store.tracking.client import database_uri
     from headway.store.tracking.sync import sync
 
     root = existing_store(arguments.store).resolve()
     _require_free(arguments.port)
     for line in sync(root):
         print(f"headway: {line}", file=sys.stderr)
-    uri = f"sqlite:///{root / 'mlflow.db'}"
-    command = [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", uri]
+    command = [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", database_uri(root)]
     command += ["--host", _HOST, "--port", str(arguments.port), "--workers", "1"]
     with StopRequests() as requests, TemporaryFile("w+") as log:
         # MLflow's job runner (scoring of traces) is unused here and would start seven slow processes.

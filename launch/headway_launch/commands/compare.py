@@ -12,7 +12,7 @@ from headway_launch.commands.runs import add_store_argument, existing_store
 
 if TYPE_CHECKING:
     from headway.events import Row
-    from headway.stats import Interval
+    from headway.stats.samples import Interval
     from headway_launch.console.tables import Value
     from headway_launch.experiments.compose import Experiment
     from headway_launch.runner.stored_run import StoredRun
@@ -57,9 +57,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Evaluate and print the table."""
-    from headway_launch.console.threads import limit_threads
-
-    limit_threads()
     from headway_launch.console.output import print_line
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.console.tables import print_table

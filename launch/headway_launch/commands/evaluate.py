@@ -32,9 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Evaluate and print the table."""
-    from headway_launch.console.threads import limit_threads
-
-    limit_threads()
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
     from headway_launch.runner.comparison import counting, print_comparison, rule_episodes, rules_to_play

@@ -63,7 +63,7 @@ def _list_envs(name: str | None) -> None:
     elif name in _file_only_envs():
         _list_group("env")(name)
     else:
-        _print_keys(env_entry(_require_env(name)).config, "env.args")
+        _print_descriptions(describe(env_entry(_require_env(name)).config, "env.args"))
 
 
 def _list_algos(name: str | None) -> None:
@@ -84,7 +84,7 @@ def _list_algos(name: str | None) -> None:
 
 def _list_wrappers(name: str | None) -> None:
     if name is not None:
-        _print_keys(wrapper_entry(name).config, "")
+        _print_descriptions(describe(wrapper_entry(name).config))
         return
     rows = []
     for key, entry in wrapper_entries().items():
@@ -156,7 +156,7 @@ def _list_keys(name: str | None) -> None:
     from headway.config.experiment import ExperimentConfig
 
     if name is None:
-        _print_keys(ExperimentConfig, "")
+        _print_descriptions(describe(ExperimentConfig))
         return
     rows = [row for row in describe(ExperimentConfig) if row.key == name or row.key.startswith(f"{name}.")]
     if not rows:
@@ -176,10 +176,6 @@ def _list_group(group: str) -> Callable[[str | None], None]:
             raise HeadwayError(f"unknown {group} {name!r}; {suggestion(name, names)}")
 
     return show
-
-
-def _print_keys(record: type, path: str) -> None:
-    _print_descriptions(describe(record, path))
 
 
 def _print_descriptions(keys: Iterable[FieldDescription]) -> None:

@@ -5,12 +5,15 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import NoReturn, Protocol, cast
+from types import ModuleType
+from typing import NoReturn
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.console.output import print_line, silence
+from headway_launch.console.threads import limit_threads
 
+_ABOUT = "Multi-agent reinforcement-learning experiments in transport."
 _EXAMPLES = """\
 examples:
   headway list experiments
@@ -30,18 +33,6 @@ class _Command:
     """Whether a closed output pipe ends the command; False for commands that train."""
     parts: "Mapping[str, _Command]" = field(default_factory=dict)
     """Subcommands by name; `module` is then a package with EXAMPLES."""
-
-
-class _CommandModule(Protocol):
-    """Interface of a module of `headway_launch.commands`."""
-
-    EXAMPLES: str
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None: ...
-
-    def execute(self, arguments: argparse.Namespace) -> int:
-        """Run the command; return the exit code."""
-        ...
 
 
 _COMMANDS = {
@@ -76,6 +67,8 @@ _COMMANDS = {
     ),
     "list": _Command("list environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),
 }
+_ONE_THREAD = ("run", "sweep", "search", "resume", "evaluate", "compare", "render")
+"""Commands whose numerical libraries use one thread, because parallel processes fill the machine."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -129,7 +122,10 @@ def _only_prints(words: Sequence[str]) -> bool:
 
 def _dispatch(words: Sequence[str], debug: bool) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
-        _top_parser().print_help()
+        parser = _group_parser("headway", _ABOUT, _COMMANDS, _EXAMPLES)
+        parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        parser.add_argument("--version", action="store_true", help="show the version")
+        parser.print_help()
         return 0
     if words[0] == "--version":
         from importlib.metadata import version
@@ -143,16 +139,19 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
     rest = words[1:]
     if command.parts:
         if not rest or rest[0] in ("-h", "--help", "help"):
-            _parser_of_parts(name, command).print_help()
+            examples = _module_of(command).EXAMPLES
+            _group_parser(f"headway {name}", _description(command), command.parts, examples).print_help()
             return 0
         if rest[0] not in command.parts:
             fix = suggestion(rest[0], command.parts, f"headway {name} ")
             raise HeadwayError(f"unknown command {rest[0]!r} of headway {name}; {fix}")
         name, command, rest = f"{name} {rest[0]}", command.parts[rest[0]], rest[1:]
-    module = cast(_CommandModule, import_module(f"headway_launch.commands.{command.module}"))
+    if name in _ONE_THREAD:
+        limit_threads()
+    module = _module_of(command)
     parser = _Parser(
         prog=f"headway {name}",
-        description=command.summary[0].upper() + command.summary[1:] + ".",
+        description=_description(command),
         epilog=module.EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -162,32 +161,27 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
     except SystemExit as done:  # --help
         return int(done.code or 0)
     parsed.command, parsed.debug = name, debug
-    return module.execute(parsed)
+    code: int = module.execute(parsed)
+    return code
 
 
-def _parser_of_parts(name: str, command: _Command) -> argparse.ArgumentParser:
-    module = cast(_CommandModule, import_module(f"headway_launch.commands.{command.module}"))
+def _module_of(command: _Command) -> ModuleType:
+    return import_module(f"headway_launch.commands.{command.module}")
+
+
+def _description(command: _Command) -> str:
+    return command.summary[0].upper() + command.summary[1:] + "."
+
+
+def _group_parser(
+    name: str, description: str, commands: Mapping[str, _Command], examples: str
+) -> argparse.ArgumentParser:
+    """Return the parser that shows the help of a group of commands."""
+    listed = "".join(f"  {each:<11}{command.summary}\n" for each, command in commands.items())
     return argparse.ArgumentParser(
-        prog=f"headway {name}",
-        usage=f"headway {name} COMMAND ...",
-        description=command.summary[0].upper() + command.summary[1:] + ".",
-        epilog=_listed(command.parts) + "\n" + module.EXAMPLES,
+        prog=name,
+        usage=f"{name} COMMAND ...",
+        description=description,
+        epilog=f"commands:\n{listed}\n{examples}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-
-
-def _listed(commands: Mapping[str, _Command]) -> str:
-    return "commands:\n" + "".join(f"  {name:<11}{command.summary}\n" for name, command in commands.items())
-
-
-def _top_parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="headway",
-        usage="headway COMMAND ...",
-        description="Multi-agent reinforcement-learning experiments in transport.",
-        epilog=_listed(_COMMANDS) + "\n" + _EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    parser.add_argument("--version", action="store_true", help="show the version")
-    return parser

@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Plot, and print the path of the picture."""
     from headway.stats import frames, plots
-    from headway.store import RunSelection
+    from headway.store.query import RunSelection
     from headway_launch.studies.run_filter import filter_runs
     from headway_launch.studies.runs import curves_of, finished_runs, rules_beside
 
@@ -67,10 +67,12 @@ def execute(arguments: argparse.Namespace) -> int:
     runs = RunSelection(root, chosen)
     output = Path(arguments.output or f"{arguments.study}.png")
     means = frames.mean_curves(curves_of(runs, metric))
+    remark = " (lower is better)" if arguments.lower_is_better else ""
+    label = f"{metric.replace('_', ' ').replace('/', ': ')}{remark}"
     figure = plots.learning_curves(
         means,
         {} if arguments.no_rules else rules_beside(runs, metric),
-        _axis(metric, arguments.lower_is_better),
+        label,
         plots.colours(list(dict.fromkeys(means["controller"]))),
         low=arguments.low,
         title=f"{arguments.study}: {_statistic(means)}",
@@ -79,11 +81,6 @@ def execute(arguments: argparse.Namespace) -> int:
     write_figure(figure, output)
     print(output)
     return 0
-
-
-def _axis(metric: str, lower_is_better: bool) -> str:
-    """Return the label of the vertical axis."""
-    return metric.replace("_", " ").replace("/", ": ") + (" (lower is better)" if lower_is_better else "")
 
 
 def _statistic(means: "pd.DataFrame") -> str:

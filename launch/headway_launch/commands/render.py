@@ -44,7 +44,9 @@ _SUFFIXES = (".gif", ".png")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the run or environment, the episode and the output."""
-    parser.add_argument("name", metavar="RUN|ENV", help="a run, or with --rule an environment of configs/env")
+    parser.add_argument(
+        "name", metavar="RUN|ENV", help="a run, or with --rule an environment (`headway list envs`)"
+    )
     parser.add_argument(
         "overrides",
         metavar="KEY=VALUE",
@@ -75,9 +77,6 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.keep:
         output = _in_run(arguments, output)
     _require_writable(output, arguments.keep)
-    from headway_launch.console.threads import limit_threads
-
-    limit_threads()
     from headway.registry import env_entries
     from headway_launch.console.video import PackedFrame, write_film, write_picture
     from headway_launch.runner.warm_up import compile_kernels

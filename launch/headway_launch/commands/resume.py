@@ -36,9 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Continue training; return the highest exit code of the sessions."""
-    from headway_launch.console.threads import limit_threads
-
-    limit_threads()
     from headway_launch.console.output import print_line
     from headway_launch.runner.runner import EXIT_STOPPED, run_sessions
     from headway_launch.runner.stored_run import StoredRun

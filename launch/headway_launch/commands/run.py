@@ -36,9 +36,6 @@ def add_dry_run_argument(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Train; return the exit code."""
-    from headway_launch.console.threads import limit_threads
-
-    limit_threads()
     from headway_launch.experiments.compose import compose
     from headway_launch.runner.jobs import CellPlan, plan_jobs
 

@@ -37,9 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Train every candidate in every cell and print the winners; return the exit code."""
-    from headway_launch.console.threads import limit_threads
-
-    limit_threads()
     from headway_launch.console.output import ignore_closed_pipe
     from headway_launch.console.tables import print_table
     from headway_launch.experiments.search import read_search

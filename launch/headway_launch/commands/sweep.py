@@ -60,9 +60,6 @@ def execute(arguments: argparse.Namespace) -> int:
     for name in ("array", *_ALLOCATION, "sbatch"):
         if getattr(arguments, name) not in (None, False):
             raise HeadwayError(f"--{name} needs --slurm")
-    from headway_launch.console.threads import limit_threads
-
-    limit_threads()
     from headway_launch.experiments.sweep import compose_sweep
     from headway_launch.runner.runner import EXIT_STOPPED
     from headway_launch.studies.plan import distinct

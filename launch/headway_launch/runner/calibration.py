@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 from headway.config.experiment import ExperimentConfig
 from headway.contracts.errors import HeadwayError
-from headway.energy import EnergyMeter, JobUsage
+from headway.energy.ledger import JobUsage
+from headway.energy.meter import EnergyMeter
 from headway.events import EvaluationFinished, Event, Failed, Finished, IterationFinished, Started, Usage
 from headway_launch.console.progress_display import CountedProgress
 from headway_launch.runner.cores import CoreShares, uses_gpu, workers_of

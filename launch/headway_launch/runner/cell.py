@@ -8,10 +8,9 @@ from statistics import fmean
 
 from headway.config.schema import plain
 from headway.events import Row
-from headway.store import CHECKPOINTS, Status
 from headway.store.atomic_files import read_json
 from headway.store.checkpoint import latest_iteration
-from headway.store.run_folder import rules_file, status_of_all
+from headway.store.run_folder import CHECKPOINTS, Status, rules_file, status_of_all
 from headway.store.session import Cell, Run, SessionStore
 from headway.training.loop import TrainingJob
 from headway.wording import counted
@@ -42,9 +41,8 @@ class SessionCell:
         self.touched = bool(plan.jobs)
         """Whether the session trains or stores anything in this cell."""
         self._store = store
-        self._cell: Cell = store.begin_cell(
-            self.config.study, self.config.env.id, experiment.algo_name, cell_parameters(experiment)
-        )
+        names = self.config.study, self.config.env.id, experiment.algo_name
+        self._cell = Cell(store, *names, cell_parameters(experiment))
 
     def runs(self, planned: PlannedJob, shares: CoreShares) -> list[Run]:
         """Return the runs of a job, one per seed, newly created or resumed.
@@ -83,7 +81,8 @@ class SessionCell:
             workers=workers_of(planned, shares),
             directories=tuple(str(run.directory) for run in runs),
             gates=tuple(str(run.gate) for run in runs),
-            resume=bool(planned.resumed) and any(_has_checkpoint(run.directory) for run in runs),
+            resume=bool(planned.resumed)
+            and any(latest_iteration(run.directory / CHECKPOINTS) is not None for run in runs),
         )
 
     def play_rules(self, played: dict[str, Rules]) -> None:
@@ -141,7 +140,3 @@ class SessionCell:
         if any([row.get(_EVALUATION_SEED) for row in rows] != seeds for rows in rules.values()):
             return None
         return rules
-
-
-def _has_checkpoint(directory: Path) -> bool:
-    return latest_iteration(directory / CHECKPOINTS) is not None

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from headway.events import Row
 from headway.rollout.episodes import EvaluationRequest, OnStep, evaluate_policy, ignore_step
-from headway.rollout.plan import RolloutPlan, evaluation_block
-from headway.store.checkpoint import load_latest
-from headway.store.checkpoint_shapes import require_same_shapes
+from headway.rollout.plan import RolloutPlan
+from headway.store.checkpoint import load_latest, require_same_shapes
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.experiments.compose import PreparedEnv
 from headway_launch.runner.stored_run import StoredRun
@@ -58,6 +57,6 @@ def policy_episodes(
 ) -> list[Row]:
     """Play `episodes` episodes on the evaluation seeds derived from `root`; return one row per episode."""
     rows: list[Row] = []
-    for request in EvaluationRequest.split(root, episodes, greedy, evaluation_block(policy.plan.spec)):
+    for request in EvaluationRequest.split(root, episodes, greedy, policy.plan.spec):
         rows += evaluate_policy(policy.plan, policy.parameters, request, told)[0]
     return rows

@@ -12,7 +12,7 @@ from headway_launch.console.tables import Value, print_table
 
 if TYPE_CHECKING:
     from headway.rollout.episodes import OnStep
-    from headway.stats import Interval
+    from headway.stats.samples import Interval
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.experiments.compose import Experiment, PreparedEnv
 
@@ -116,7 +116,7 @@ def difference(learned: Sequence[Sequence[float]], rule: Sequence[float]) -> "In
     The 95% interval is Student's t over episodes for one seed, over seeds and episodes for more. Raises
     ValueError for fewer than two episodes.
     """
-    from headway.stats import paired_difference, paired_difference_over_seeds
+    from headway.stats.intervals import paired_difference, paired_difference_over_seeds
 
     if len(learned) == 1:
         return paired_difference(learned[0], rule)

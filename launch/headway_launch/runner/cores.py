@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from headway.config.experiment import BackendConfig
-from headway.contracts.environment import EnvSpec
-from headway.rollout.plan import replica_groups
+from headway.training.loop import TrainingJob
 from headway_launch.runner.jobs import PlannedJob
 
 
@@ -39,10 +38,7 @@ def share_cores(
         most = max(
             [
                 1,
-                *(
-                    cores_taken(job.spec, len(job.seeds), job.config.rollout.block, workers, node_cpus)
-                    for job, workers in fixed
-                ),
+                *(cores_taken(job.training, workers, node_cpus) for job, workers in fixed),
             ]
         )
     else:
@@ -54,14 +50,14 @@ def share_cores(
     return CoreShares(parallel, workers if node_cpus is None else min(workers, node_cpus))
 
 
-def cores_taken(spec: EnvSpec, seeds: int, block: int, workers: int, node_cpus: int | None = None) -> int:
+def cores_taken(job: TrainingJob, workers: int, node_cpus: int | None) -> int:
     """Return the number of cores to reserve for a training process and its workers.
 
     It is one per worker, since the workers alternate with the learner, and at most `node_cpus`. If the
     replicas of a stack are split over worker groups, only one group counts: the learner's work grows with the
     number of groups, and counting all of them would leave cores idle while it learns.
     """
-    taken = max(1, workers // len(replica_groups(spec.max_copies_per_process, seeds, block)))
+    taken = max(1, workers // len(job.plan.groups))
     return taken if node_cpus is None else min(taken, node_cpus)
 
 
@@ -86,12 +82,8 @@ def _fixed_workers(job: PlannedJob) -> int | None:
 
 def _most_workers(job: PlannedJob) -> int:
     """Return the maximum useful number of workers: one per block of copies and worker group."""
-    rollout = job.config.rollout
-    return len(_worker_groups(job)) * (rollout.copies // rollout.block)
-
-
-def _worker_groups(job: PlannedJob) -> list[tuple[int, int]]:
-    return replica_groups(job.spec.max_copies_per_process, len(job.seeds), job.config.rollout.block)
+    plan = job.training.plan
+    return len(plan.groups) * (plan.copies // plan.block)
 
 
 def gpus_of(device: str, available: float) -> float:

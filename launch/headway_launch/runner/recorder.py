@@ -3,9 +3,9 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
+from headway.energy.ledger import Energy, JobUsage
 from headway.events import (
     CheckpointSaved,
     EvaluationFinished,
@@ -20,11 +20,8 @@ from headway.events import (
 from headway.store.atomic_files import write_text
 from headway.store.checkpoint import latest_iteration
 from headway.store.run_folder import CHECKPOINTS
+from headway.store.session import Run
 from headway_launch.console.output import print_line
-
-if TYPE_CHECKING:
-    from headway.energy.ledger import Energy, JobUsage
-    from headway.store.session import Run
 
 TRACEBACK = "traceback.txt"
 """Name of the file, in the folder of a failed run, that holds the traceback."""
@@ -34,7 +31,7 @@ TRACEBACK = "traceback.txt"
 class JobRecorder:
     """The stored runs of one job, one per seed, and the resources that their training has used so far."""
 
-    runs: Sequence["Run"]
+    runs: Sequence[Run]
     uses_gpu: bool = False
     before: Sequence[Row] = ()
     """Last energy sample of each seed from earlier sessions; empty for new runs."""
@@ -82,18 +79,11 @@ class JobRecorder:
                 self._keep_traceback(event)
 
     @property
-    def usage(self) -> "JobUsage":
+    def usage(self) -> JobUsage:
         """Resource use by which the energy meter divides energy among jobs."""
-        from headway.energy.ledger import JobUsage
+        return JobUsage(self.used.cpu_seconds, self.used.memory_bytes, self.uses_gpu, self.process_ids)
 
-        return JobUsage(
-            self.used.cpu_seconds,
-            self.used.memory_bytes,
-            uses_gpu=self.uses_gpu,
-            process_ids=self.process_ids,
-        )
-
-    def keep_energy(self, moment: float, energy: "Energy") -> Sequence[Row]:
+    def keep_energy(self, moment: float, energy: Energy) -> Sequence[Row]:
         """Store an energy sample in each run and return the samples, one per seed.
 
         A sample is the seed's equal share of the job's `energy` in this session plus its use in earlier ones.
@@ -106,7 +96,7 @@ class JobRecorder:
             earlier = {name: float(value) for name, value in before.items() if name != "time"}
             sums = {name: earlier.get(name, 0.0) + share.get(name, 0.0) for name in {**earlier, **share}}
             samples.append({"time": moment, **sums})
-            run.energy(samples[-1])
+            run.energy.append(samples[-1])
         return samples
 
     @property
@@ -117,10 +107,15 @@ class JobRecorder:
         (begin, first), (end, last) = self._first, self._last
         return (last - first) / max(end - begin, 1e-9)
 
+    @property
+    def saved_iteration(self) -> int:
+        """Iteration of the newest checkpoint on disk; 0 if there is none."""
+        # Every seed's checkpoint contains the whole stack, so the newest in any of the folders counts.
+        return max(latest_iteration(run.directory / CHECKPOINTS) or 0 for run in self.runs)
+
     def _record_checkpoint(self) -> None:
         """Record the newest checkpoint on disk, which a killed process may not have reported."""
-        # Every seed's checkpoint contains the whole stack, so the newest in any of the folders counts.
-        saved = max(latest_iteration(run.directory / CHECKPOINTS) or 0 for run in self.runs)
+        saved = self.saved_iteration
         for run in self.runs:
             if saved > run.record.durable_iteration:
                 run.durable(saved)

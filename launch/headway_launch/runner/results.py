@@ -149,7 +149,7 @@ def curve_metrics(run: "Run", mode: str) -> tuple[float | None, float | None]:
     """
     if not run.record.durable_env_steps:
         return None, None
-    from headway.stats import auc, final_reward
+    from headway.stats.curves import auc, final_reward
     from headway.store.parquet_log import read_curve
 
     curve = read_curve(run.directory, f"evaluation_{mode}/return")
@@ -210,7 +210,7 @@ def print_cells(
 
 def _print_notes(results: Sequence[SeedResult]) -> None:
     """Print the definition of the final reward, and the reason why runs have no AUC."""
-    from headway.stats import FEWEST_POINTS, FINAL_SHARE
+    from headway.stats.curves import FEWEST_POINTS, FINAL_SHARE
 
     if any(result.final_reward is not None for result in results):
         print_line(f"{_FINAL}: mean evaluation return over the last {FINAL_SHARE:.0%} of a run's steps")
@@ -239,7 +239,7 @@ def _mean_std(values: Sequence[float]) -> tuple[float | None, float | None]:
 
     Both are undefined without values, the deviation also with one value.
     """
-    from headway.stats import mean_std
+    from headway.stats.samples import mean_std
 
     if not values:
         return None, None

@@ -17,9 +17,10 @@ from headway_launch.runner.cell import Rules, SessionCell
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
 from headway_launch.runner.jobs import CellPlan, require_free_disk
 from headway_launch.runner.results import print_cells, print_results, seed_result
-from headway_launch.runner.scheduler import Scheduler, Training
+from headway_launch.runner.scheduler import Scheduler
 from headway_launch.runner.session_energy import SessionEnergy
 from headway_launch.runner.session_job import SessionJob
+from headway_launch.runner.training_process import Training
 from headway_launch.runner.warm_up import compile_kernels_of
 
 EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130

@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import wait
 from types import FrameType, TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, Failed, Finished, Notice
@@ -15,6 +15,7 @@ from headway_launch.console.progress import OVER
 from headway_launch.console.progress_display import Progress
 from headway_launch.runner.cores import CoreShares
 from headway_launch.runner.session_job import SessionJob
+from headway_launch.runner.training_process import Training
 
 _POLL_S = 0.2
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -59,49 +60,6 @@ class StopRequests:
         if now - self._counted_at >= _SAME_REQUEST_S:
             self.count += 1
             self._counted_at = now
-
-
-class Training(Protocol):
-    """Interface to a training process on this machine or in a cluster."""
-
-    @property
-    def lost(self) -> bool:
-        """Whether Ray lost the process, for example with its machine: it can restart from a checkpoint."""
-        ...
-
-    @property
-    def connection(self) -> Any:  # noqa: ANN401 - any object `multiprocessing.connection.wait` takes
-        """Object to wait on; ready when an event has arrived or the process has ended."""
-        ...
-
-    @property
-    def sentinel(self) -> Any:  # noqa: ANN401 - as `connection`
-        """Object to wait on; ready when the process has ended."""
-        ...
-
-    def has_event(self) -> bool:
-        """Return whether `receive` would return without waiting."""
-        ...
-
-    def has_ended(self) -> bool:
-        """Return whether no further event will arrive."""
-        ...
-
-    def receive(self) -> Event | None:
-        """Return the next event; None once there are no more."""
-        ...
-
-    def ask_to_stop(self) -> None:
-        """Request a checkpoint and an orderly end."""
-        ...
-
-    def kill(self) -> None:
-        """Kill the process and its workers."""
-        ...
-
-    def join(self) -> str:
-        """Wait for the process to end; return how it ended, as a message in case it sent no final event."""
-        ...
 
 
 class Scheduler:

@@ -4,8 +4,9 @@ import time
 from collections.abc import Sequence
 
 from headway.config.experiment import EnergyConfig
-from headway.energy import EnergyMeter, EnergyReport
+from headway.energy.meter import EnergyMeter, EnergyReport
 from headway.events import Row
+from headway_launch.runner.recorder import JobRecorder
 from headway_launch.runner.session_job import SessionJob
 
 
@@ -29,7 +30,7 @@ class SessionEnergy:
         if self._meter is None or now - self._sampled < self._config.interval_s:
             return
         self._sampled = now
-        running = {job.account: job.recorder for job in self._jobs if job.recorder and _runs(job)}
+        running = self._running()
         energies = self._meter.sample({account: recorder.usage for account, recorder in running.items()})
         for account, recorder in running.items():
             recorder.keep_energy(time.time(), energies[account])
@@ -38,13 +39,15 @@ class SessionEnergy:
         """Store the last sample of a job that has ended; return it, one row per seed."""
         assert self._meter is not None
         assert job.recorder is not None
-        others = {
-            other.account: other.recorder.usage
-            for other in self._jobs
-            if other is not job and other.recorder and _runs(other)
-        }
+        running = self._running().items()
+        others = {account: recorder.usage for account, recorder in running if account != job.account}
         energy = self._meter.finish(job.account, others, job.recorder.usage)
         return job.recorder.keep_energy(time.time(), energy)
+
+    def _running(self) -> dict[str, JobRecorder]:
+        """Return the recorders of the running jobs, by account."""
+        jobs = self._jobs
+        return {job.account: job.recorder for job in jobs if job.recorder and job.stored_status == "RUNNING"}
 
     def notices(self) -> tuple[str, ...]:
         """Return the lines for the user since the last call."""
@@ -53,10 +56,6 @@ class SessionEnergy:
     def stop(self) -> dict[str, float]:
         """Stop measuring; return the machine's energy in kWh, and the parts of it that no run used."""
         return _session_metrics(self._meter.stop()) if self._meter else {}
-
-
-def _runs(job: SessionJob) -> bool:
-    return job.stored_status == "RUNNING"
 
 
 def _session_metrics(report: EnergyReport) -> dict[str, float]:

@@ -1,11 +1,9 @@
 """A job of a session, from its plan to the stored runs of its seeds."""
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 from headway.events import Event
-from headway.store import CHECKPOINTS, Status
-from headway.store.checkpoint import latest_iteration
+from headway.store.run_folder import Status
 from headway.training.loop import TrainingJob
 from headway_launch.console.output import relative
 from headway_launch.console.progress import JobProgress
@@ -65,7 +63,7 @@ class SessionJob:
     def create_runs(self, shares: CoreShares) -> JobRecorder:
         """Create or reopen the stored runs. Raises HeadwayError as `SessionCell.runs` does."""
         runs = self.cell.runs(self.planned, shares)
-        before = [run.energy_so_far for run in runs] if self.planned.resumed else []
+        before = [run.energy.last() for run in runs] if self.planned.resumed else []
         self.recorder = JobRecorder(runs, uses_gpu=uses_gpu(self.planned), before=before)
         self.progress.traceback = f"{relative(runs[0].directory)}/{TRACEBACK}"
         return self.recorder
@@ -85,12 +83,13 @@ class SessionJob:
 
         False after `_MAX_RESTARTS` restarts from the same checkpoint.
         """
-        return self.recorder is not None and self.lost_at.count(self._durable) < _MAX_RESTARTS
+        recorder = self.recorder
+        return recorder is not None and self.lost_at.count(recorder.saved_iteration) < _MAX_RESTARTS
 
     def plan_restart(self, shares: CoreShares) -> None:
         """Plan to resume the runs, whose training process was lost, from their last checkpoint."""
         assert self.recorder is not None
-        durable, runs = self._durable, self.recorder.runs
+        durable, runs = self.recorder.saved_iteration, self.recorder.runs
         self.lost_at.append(durable)
         self.planned = replace(
             self.planned,
@@ -99,8 +98,3 @@ class SessionJob:
             workers=workers_of(self.planned, shares),
         )
         self.recorder, self.progress.traceback = None, ""
-
-    @property
-    def _durable(self) -> int:
-        assert self.recorder is not None
-        return max(latest_iteration(Path(run.directory, CHECKPOINTS)) or 0 for run in self.recorder.runs)

@@ -1,10 +1,11 @@
-"""A training process on this machine and the session's handle of it: start, events, stop and kill."""
+"""The session's handle of a training process, and a training process on this machine."""
 
 import os
 import signal
 import sys
 import threading
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -27,16 +28,64 @@ Work = Callable[[Report, ShouldStop], None]
 """Work of a training process: it reports events and ends when `ShouldStop` returns true."""
 
 
-class TrainingProcess:
-    """Runs one job in a separate process and process group, so that Ctrl-C reaches the session only."""
+class Training(ABC):
+    """The session's handle of a training process on this machine or in a cluster."""
 
     lost = False
-    """Always false: the session is on the same machine. See `headway_launch.runner.scheduler.Training`."""
+    """Whether Ray lost the process, for example with its machine: it can restart from a checkpoint."""
+
+    def __init__(self, events: Connection) -> None:
+        """`events`: pipe on which the events of the process arrive."""
+        self._events, self._at_end = events, False
+
+    @property
+    def connection(self) -> Connection:
+        """Pipe that is ready when an event has arrived or the process has ended."""
+        return self._events
+
+    @property
+    def sentinel(self) -> Connection | int:
+        """Object to wait on; ready when the process has ended."""
+        return self._events
+
+    def has_event(self) -> bool:
+        """Return whether `receive` would return without waiting."""
+        return not self._at_end and self._events.poll()
+
+    def has_ended(self) -> bool:
+        """Return whether no further event will arrive."""
+        return self._at_end
+
+    def receive(self) -> Event | None:
+        """Return the next event; None once there are no more."""
+        try:
+            event: Event = self._events.recv()
+        except (EOFError, OSError):  # OSError if killed while sending
+            self._at_end = True
+            return None
+        return event
+
+    @abstractmethod
+    def ask_to_stop(self) -> None:
+        """Request a checkpoint and an orderly end; no effect if the process has ended."""
+
+    @abstractmethod
+    def kill(self) -> None:
+        """Kill the process and its workers."""
+
+    @abstractmethod
+    def join(self) -> str:
+        """Wait for the process to end; return how it ended, as a message in case it sent no final event."""
+
+
+class TrainingProcess(Training):
+    """Runs one job in a separate process and process group, so that Ctrl-C reaches the session only."""
 
     def __init__(self, job: "TrainingJob", work: Work | None = None) -> None:
         """Start the process; `work` (picklable) replaces training, and `job` then only names the process."""
         context = get_context("spawn")
-        self._events, child_end = context.Pipe()
+        events, child_end = context.Pipe()
+        super().__init__(events)
         name = f"headway training {', '.join(str(seed) for seed in job.seeds)}"
         self._process = context.Process(target=_run, args=(child_end,), name=name)
         resource_tracker.ensure_running()
@@ -47,48 +96,23 @@ class TrainingProcess:
         finally:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
         child_end.close()
-        self._at_end = False
         # Not as an argument of the process: multiprocessing would wait for ever for a process that is killed
         # before it has read more than a pipe holds.
         with suppress(OSError):  # killed: `receive` finds the end of its pipe
             self._events.send(work or partial(train_and_report, job))
 
     @property
-    def connection(self) -> Connection:
-        """Pipe that is ready when an event has arrived or the process has ended."""
-        return self._events
-
-    @property
     def sentinel(self) -> int:
-        """Handle that is ready when the process has ended."""
         return self._process.sentinel
 
-    def has_event(self) -> bool:
-        """Return whether `receive` would return without waiting."""
-        return not self._at_end and self._events.poll()
-
     def has_ended(self) -> bool:
-        """Return whether no further event will arrive."""
         return self._at_end or (not self._process.is_alive() and not self._events.poll())
 
-    def receive(self) -> Event | None:
-        """Return the next event; None if the process has closed its end of the pipe."""
-        try:
-            event: Event = self._events.recv()
-        except (EOFError, OSError):  # OSError if killed while sending
-            self._at_end = True
-            return None
-        return event
-
     def ask_to_stop(self) -> None:
-        """Request a checkpoint and an orderly end; no effect if the process has ended."""
-        try:
+        with suppress(OSError):
             self._events.send("stop")
-        except OSError:
-            return
 
     def kill(self) -> None:
-        """Kill the process and its workers."""
         if self._process.pid is None or not self._process.is_alive():
             return
         try:
@@ -97,7 +121,6 @@ class TrainingProcess:
             self._process.kill()
 
     def join(self) -> str:
-        """Wait for the process to end; return how it ended, as a message in case it sent no final event."""
         self._process.join(_LAST_EVENT_S)
         if self._process.is_alive():
             self.kill()

@@ -13,8 +13,8 @@ from headway_launch.console.output import print_line
 if TYPE_CHECKING:
     import pandas as pd
 
-    from headway.store import RunSelection
     from headway.store.index import RunRow
+    from headway.store.query import RunSelection
 
 
 def finished_runs(root: Path, study: str) -> list["RunRow"]:
@@ -32,7 +32,7 @@ def finished_runs(root: Path, study: str) -> list["RunRow"]:
 
 def study_runs(root: Path, study: str) -> list["RunRow"]:
     """Return all runs of a study, oldest first. Raises HeadwayError if there is no such study."""
-    from headway.store import RunIndex
+    from headway.store.index import RunIndex
 
     rows = RunIndex(root).rows()
     studies = sorted({row.study for row in rows})

@@ -6,8 +6,8 @@ from pathlib import Path
 from platform import node
 
 from headway.contracts.errors import HeadwayError
-from headway.store import RunRecord
 from headway.store.index import RunIndex
+from headway.store.run_folder import RunRecord
 from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment

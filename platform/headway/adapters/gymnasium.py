@@ -1,13 +1,13 @@
 """A single-agent Gymnasium environment as a batch of copies with N = 1."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.adapters.pettingzoo import ParallelEnvBatch
+from headway.adapters.pettingzoo import AdapterOptions, ParallelEnvBatch
 from headway.adapters.spaces import Space
 
 AGENT = "agent"
@@ -59,21 +59,6 @@ class SingleAgent:
 class GymnasiumBatch(ParallelEnvBatch):
     """C copies of a Gymnasium environment as a `BatchedEnv`; see `ParallelEnvBatch`."""
 
-    def __init__(
-        self,
-        make_env: Callable[[], gymnasium.Env[Any, Any]],
-        copies: int,
-        name: str,
-        *,
-        metrics: Sequence[str] | None = None,
-        max_copies_per_process: int | None = None,
-    ) -> None:
-        super().__init__(
-            lambda: SingleAgent(make_env()),
-            copies,
-            name,
-            shared_reward=True,
-            agents_come_and_go=False,
-            metrics=metrics,
-            max_copies_per_process=max_copies_per_process,
-        )
+    def __init__(self, make_env: Callable[[], gymnasium.Env[Any, Any]], copies: int, name: str) -> None:
+        options = AdapterOptions(shared_reward=True, agents_come_and_go=False)
+        super().__init__(lambda: SingleAgent(make_env()), copies, name, options)

@@ -11,7 +11,7 @@ import re
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, make_dataclass, replace
 from functools import partial
 from types import ModuleType
 from typing import Any
@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from headway.adapters.installed import require_environment_module
-from headway.adapters.parallel_entry import NO_OPTIONS, AdapterOptions
-from headway.config.signatures import argument_record, as_tuples, takes_any_arguments, untyped_record
+from headway.adapters.pettingzoo import NO_OPTIONS, AdapterOptions, ParallelEnvBatch
+from headway.config.signatures import argument_record, as_tuples, takes_any_arguments
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, RandomRule
 
 _PROBE_STEPS, _PROBE_SECONDS = 100, 2.0
@@ -66,9 +66,10 @@ def module_entry(
     not allowed, cannot be imported, or defines no environment.
     """
     source = _signature_source(_imported(module), module)
-    record = (
-        untyped_record("Arguments", arguments) if source is None else argument_record("Arguments", source)
-    )
+    if source is None:
+        record = make_dataclass("Arguments", [(key, Any) for key in arguments], frozen=True)
+    else:
+        record = argument_record("Arguments", source)
     return EnvEntry(
         summary=f"the PettingZoo environment {module}",
         config=record,
@@ -82,7 +83,7 @@ def module_entry(
 
 def make_batch(prepared: ModuleEnv, copies: int) -> BatchedEnv:
     """Return a batch of `copies` copies: `EnvEntry.make` of module environments."""
-    return prepared.options.adapt(prepared.make, copies, prepared.module)
+    return ParallelEnvBatch(prepared.make, copies, prepared.module, prepared.options)
 
 
 def _prepare(module: str, options: AdapterOptions, config: Any) -> ModuleEnv:  # noqa: ANN401 - its own record
@@ -110,7 +111,7 @@ def _pays_all_alike(module: str, env: Any, options: AdapterOptions) -> bool:  # 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            batch = options.adapt(lambda: env, 1, module)
+            batch = ParallelEnvBatch(lambda: env, 1, module, options)
             observed = batch.reset(np.zeros(1, np.uint64))
             for _ in range(_PROBE_STEPS if batch.spec.num_agents > 1 else 0):
                 alive = observed.alive[0].copy()

@@ -14,6 +14,7 @@ absent before the episode ends.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Protocol
 
@@ -33,6 +34,25 @@ from headway.contracts import (
 from headway.contracts.spaces import allows_action
 
 Infos = Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class AdapterOptions:
+    """Facts about an environment that PettingZoo has no place for."""
+
+    shared_reward: bool | None = None
+    """All agents get the same reward at every step; None: no, with a notice if rewards look shared."""
+    groups: tuple[str, ...] = ()
+    """Group of each agent; empty: all in one."""
+    agents_come_and_go: bool | None = None
+    """Agents may be absent before the episode ends; None: as stated by metadata and infos."""
+    metrics: tuple[str, ...] | None = None
+    """Names of the episode metrics; None: those in the environment's metadata."""
+    max_copies_per_process: int | None = None
+    """Maximum number of copies in one process; None: no limit."""
+
+
+NO_OPTIONS = AdapterOptions()
 
 
 class ParallelEnv(Protocol):
@@ -86,14 +106,9 @@ class ParallelEnvBatch:
         make_parallel_env: Callable[[], Any],
         copies: int,
         name: str,
-        *,
-        shared_reward: bool = False,
-        groups: Sequence[str] = (),
-        agents_come_and_go: bool | None = None,
-        metrics: Sequence[str] | None = None,
-        max_copies_per_process: int | None = None,
+        options: AdapterOptions = NO_OPTIONS,
     ) -> None:
-        """Create the copies; metadata and infos decide `agents_come_and_go` and `metrics` if None."""
+        """Create the copies; `name` is used in messages."""
         if copies < 1:
             raise HeadwayError(f"environment '{name}' needs at least 1 copy, not {copies}")
         self._envs: list[ParallelEnv] = [make_parallel_env() for _ in range(copies)]
@@ -105,6 +120,7 @@ class ParallelEnvBatch:
             )
         space = first.action_space(agents[0])
         metadata = getattr(first, "metadata", {})
+        metrics, agents_come_and_go = options.metrics, options.agents_come_and_go
         if metrics is None:
             metrics = metadata.get("episode_metrics", ())
         observation_spaces = {agent: first.observation_space(agent) for agent in agents}
@@ -119,12 +135,12 @@ class ParallelEnvBatch:
             observation_size=size,
             action_space=actions,
             state_size=_state_size(first),
-            groups=tuple(groups),
-            shared_reward=shared_reward,
+            groups=options.groups,
+            shared_reward=bool(options.shared_reward),
             has_action_mask=_any_info_has(infos, "action_mask"),
             agents_come_and_go=agents_come_and_go,
             metrics=tuple(metrics),
-            max_copies_per_process=max_copies_per_process,
+            max_copies_per_process=options.max_copies_per_process,
         )
         self._index = {agent: index for index, agent in enumerate(agents)}
         self._has_masks = self._spec.has_action_mask

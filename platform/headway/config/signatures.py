@@ -1,7 +1,7 @@
 """Arguments of Python callables as configuration records, so that they are checked like all other keys."""
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, make_dataclass
 from inspect import Parameter
 from types import NoneType, UnionType
@@ -37,11 +37,6 @@ def argument_record(name: str, function: Callable[..., Any], first: int = 0) -> 
         elif is_plain(parameter.default):
             fields.append((parameter.name, hint, _with_default(parameter.default)))
     return make_dataclass(name, fields, frozen=True)
-
-
-def untyped_record(name: str, keys: Iterable[str]) -> type:
-    """Return a frozen dataclass with these keys, each required and of any type."""
-    return make_dataclass(name, [(key, Any) for key in keys], frozen=True)
 
 
 def is_plain(value: object) -> bool:

@@ -81,8 +81,3 @@ class RecurrentPolicy(ActingPolicy, Protocol):
 def hidden_size(policy: ActingPolicy) -> int:
     """Return M, the length of each agent's hidden state; 0 for a policy without recurrence."""
     return policy.hidden_size if isinstance(policy, RecurrentPolicy) else 0
-
-
-def acts_in_any_block(policy: ActingPolicy) -> bool:
-    """Return whether a policy declares that its results do not depend on the block (`any_block`)."""
-    return bool(getattr(policy, "any_block", False))

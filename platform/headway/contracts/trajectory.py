@@ -1,5 +1,6 @@
 """The trajectory: the one record that rollout workers write and learners read."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from math import prod
 from typing import Any, Self
@@ -10,7 +11,29 @@ from numpy.typing import DTypeLike, NDArray
 from headway.contracts.environment import EnvSpec
 from headway.contracts.spaces import Box, Discrete, MultiDiscrete
 
+ArrayShapes = Mapping[str, tuple[tuple[int, ...], DTypeLike]]
+"""Shape and dtype of arrays by name."""
 _ALIGNMENT = 64  # bytes, a cache line
+
+
+def aligned(nbytes: int) -> int:
+    """Round a number of bytes up, so that an array of any dtype may start after them."""
+    return -(-nbytes // _ALIGNMENT) * _ALIGNMENT
+
+
+def block_nbytes(shapes: ArrayShapes) -> int:
+    """Return the size in bytes of the buffer that `arrays_in` needs."""
+    return sum(aligned(prod(shape) * np.dtype(dtype).itemsize) for shape, dtype in shapes.values())
+
+
+def arrays_in(buffer: Any, shapes: ArrayShapes) -> dict[str, NDArray[Any]]:  # noqa: ANN401 - anything with a buffer
+    """Return arrays by name that lie one after another in a buffer."""
+    arrays: dict[str, NDArray[Any]] = {}
+    offset = 0
+    for name, (shape, dtype) in shapes.items():
+        arrays[name] = np.frombuffer(buffer, dtype, prod(shape), offset).reshape(shape)
+        offset += aligned(arrays[name].nbytes)
+    return arrays
 
 
 @dataclass(frozen=True)
@@ -59,16 +82,7 @@ class TrajectoryLayout:
     @property
     def nbytes(self) -> int:
         """Size in bytes of a block that holds every array."""
-        return sum(_padded_nbytes(shape, dtype) for shape, dtype in self.arrays.values())
-
-
-def _padded_nbytes(shape: tuple[int, ...], dtype: DTypeLike) -> int:
-    return aligned(prod(shape) * np.dtype(dtype).itemsize)
-
-
-def aligned(nbytes: int) -> int:
-    """Round a number of bytes up, so that an array of any dtype may start after them."""
-    return -(-nbytes // _ALIGNMENT) * _ALIGNMENT
+        return block_nbytes(self.arrays)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,11 +128,7 @@ class Trajectory:
     @classmethod
     def from_buffer(cls, buffer: Any, layout: TrajectoryLayout) -> Self:  # noqa: ANN401 - anything with a buffer
         """Return a trajectory whose arrays lie in `buffer`, which holds at least `layout.nbytes` bytes."""
-        arrays, offset = {}, 0
-        for name, (shape, dtype) in layout.arrays.items():
-            arrays[name] = np.frombuffer(buffer, dtype, prod(shape), offset).reshape(shape)
-            offset += _padded_nbytes(shape, dtype)
-        return cls(**arrays)
+        return cls(**arrays_in(buffer, layout.arrays))
 
     @classmethod
     def allocate(cls, layout: TrajectoryLayout) -> Self:

@@ -70,16 +70,6 @@ class Energy:
         return {name: value for name, value in row.items() if value is not None}
 
 
-@dataclass(frozen=True, slots=True)
-class Increment:
-    """Energy and emissions of a machine in one interval; None for a part that cannot be measured."""
-
-    cpu_kwh: float | None
-    gpu_kwh: float | None
-    ram_kwh: float | None
-    kg_co2: float | None
-
-
 class _Account:
     """The reports of one job. `memory` and `gpu` are its shares of the machine's, by interval."""
 
@@ -146,10 +136,10 @@ class EnergyLedger:
             account.memory[interval] = usage.memory_bytes / self._memory_bytes
             account.gpu[interval] = gpu_shares.get(job, 0.0)
 
-    def close_interval(self, time: float, increment: Increment) -> None:
-        """Close the open interval at `time` with the machine's energy."""
+    def close_interval(self, time: float, used: Energy) -> None:
+        """Close the open interval at `time` with the energy that the machine used in it."""
         capacity = max((time - self._bounds[-1]) * self._cores, 1e-12)
-        parts = [getattr(increment, part) for part in _PARTS]
+        parts = [getattr(used, part) for part in _PARTS]
         known = np.array([part is not None for part in parts])
         self._known |= known
         for account in self._accounts.values():

@@ -12,7 +12,7 @@ import psutil
 
 from headway.config.experiment import EnergyConfig
 from headway.energy.gpu import ProcessUtilization, gpu_shares
-from headway.energy.ledger import Energy, EnergyLedger, Increment, JobUsage
+from headway.energy.ledger import Energy, EnergyLedger, JobUsage
 from headway.energy.tracker import (
     NOT_MEASURED,
     PowerModes,
@@ -163,13 +163,13 @@ class EnergyMeter:
     def _close_interval(self, ledger: EnergyLedger) -> None:
         cpu, gpu, ram, kg = self._readings.increment()
         modes = self.modes
-        increment = Increment(
+        used = Energy(
             None if modes.cpu == NOT_MEASURED else cpu,
             None if modes.gpu == NOT_MEASURED else gpu,
             None if modes.ram == NOT_MEASURED else ram,
             None if self._config.country is None else kg,
         )
-        ledger.close_interval(self._readings.time, increment)
+        ledger.close_interval(self._readings.time, used)
 
 
 def _session_usage() -> dict[str, JobUsage]:

@@ -7,8 +7,8 @@ from typing import Any
 from headway.contracts import HeadwayError
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
-from headway.rollout.collector import Collector, concatenate_blocks, evaluation_requests, restart_purpose
-from headway.rollout.episodes import evaluate_policy
+from headway.rollout.collector import Collector, concatenate_blocks, restart_purpose
+from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.plan import copies_limit_text
 from headway.rollout.workers.async_worker import AsynchronousPlan, ContributionService
 from headway.rollout.workers.process_workers import process_collector
@@ -163,7 +163,7 @@ class SerialContributors:
         """Play evaluation episodes, in a separate process if the environment limits copies per process."""
         if self.evaluator is not None:
             return self.evaluator.evaluate(root, episodes, greedy, parameters)
-        requests = evaluation_requests(self.plan, root, episodes, greedy)
+        requests = EvaluationRequest.split(root, episodes, greedy, self.plan.spec)
         return concatenate_blocks([evaluate_policy(self.plan, parameters, request) for request in requests])
 
     def snapshot(self) -> list[Any]:

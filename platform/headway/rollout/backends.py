@@ -1,11 +1,12 @@
-"""Registry of the backends. All of them produce the same trajectory, bit for bit."""
+"""Choice of the backend. All of them produce the same trajectory, bit for bit."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 
 from headway.config.experiment import BackendConfig
 from headway.rollout.async_collector import PoolContributors, SerialContributors
 from headway.rollout.collector import Collector, Contributors
 from headway.rollout.plan import RolloutPlan, Shard
+from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.separate_evaluation import SeparateEvaluation
 from headway.rollout.serial_collector import SerialCollector
 from headway.rollout.workers.async_worker import AsynchronousPlan, ContributorSetup
@@ -21,7 +22,7 @@ def open_collector(backend: BackendConfig, plan: RolloutPlan, workers: int, noti
     backend too. Raises HeadwayError if the backend cannot start.
     """
     shards = [plan.whole] if backend.name == "serial" else plan.shards(workers)
-    collector = _COLLECTORS[backend.name](backend, plan, shards, notify)
+    collector = _open(backend.name, backend, plan, shards, notify)
     if plan.spec.max_copies_per_process is None:
         return collector
     try:
@@ -40,7 +41,7 @@ def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: No
         return SerialContributors(plan, notify)
     evaluator = _open_evaluator(backend, plan.rollout, len(plan.shards), notify)
     try:
-        launcher = _LAUNCHERS[backend.name](backend, plan, notify)
+        launcher = _launcher(backend, plan, notify)
     except BaseException:
         evaluator.close()
         raise
@@ -59,49 +60,29 @@ def _open_evaluator(backend: BackendConfig, plan: RolloutPlan, workers: int, not
     if name == "ray" and backend.cpus_per_worker:
         number = 1  # an evaluation worker occupies its CPUs of the cluster during training too
     # Evaluation tasks name their replicas, so the shard of an evaluation worker is never used.
-    return _COLLECTORS[name](backend, evaluation, [evaluation.whole] * number, notify)
+    return _open(name, backend, evaluation, [evaluation.whole] * number, notify)
 
 
-def _serial_collector(
-    backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
+def _open(
+    name: str, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
 ) -> Collector:
-    return SerialCollector(plan)
+    """Start the collector of the backend `name`, which may differ from that of `backend`."""
+    if name == "serial":
+        return SerialCollector(plan)
+    if name == "process":
+        return process_collector(plan, shards, notify)
+    from headway.rollout.workers.ray_workers import RaySamplingTransport  # imports Ray, an optional extra
+
+    return PoolCollector(plan, RaySamplingTransport(backend, plan, shards, notify), len(shards), notify)
 
 
-def _process_collector(
-    backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
-) -> Collector:
-    return process_collector(plan, shards, notify)
-
-
-def _ray_collector(
-    backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
-) -> Collector:
-    from headway.rollout.workers.ray_workers import ray_collector  # imports Ray, an optional extra
-
-    return ray_collector(backend, plan, shards, notify)
-
-
-def _process_launcher(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> WorkerLauncher:
-    pickled = SharedPickle.of(plan)
-    setups = [ContributorSetup(pickled, shard) for shard in plan.shards]
-    return ProcessLauncher(setups, [*plan.rollout.preload, *plan.preload], pickled)
-
-
-def _ray_launcher(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> WorkerLauncher:
+def _launcher(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> WorkerLauncher:
+    """Return the launcher of contributing workers, in processes or on a Ray cluster."""
+    if backend.name == "process":
+        shared = SharedPickle.of(plan)
+        setups = [ContributorSetup(shared, shard) for shard in plan.shards]
+        return ProcessLauncher(setups, [*plan.rollout.preload, *plan.preload], shared)
     from headway.rollout.workers.ray_workers import RayLauncher, pickled_whole
 
     pickled = pickled_whole(plan)
-    setups = [ContributorSetup(pickled, shard) for shard in plan.shards]
-    return RayLauncher(backend, setups, notify)
-
-
-_COLLECTORS: Mapping[str, Callable[[BackendConfig, RolloutPlan, Sequence[Shard], Notify], Collector]] = {
-    "serial": _serial_collector,
-    "process": _process_collector,
-    "ray": _ray_collector,
-}
-_LAUNCHERS: Mapping[str, Callable[[BackendConfig, AsynchronousPlan, Notify], WorkerLauncher]] = {
-    "process": _process_launcher,
-    "ray": _ray_launcher,
-}
+    return RayLauncher(backend, [ContributorSetup(pickled, shard) for shard in plan.shards], notify)

@@ -6,8 +6,6 @@ from typing import Any, Protocol
 from headway.contracts import HeadwayError, Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
-from headway.rollout.episodes import EvaluationRequest
-from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.rollout.sampler import Episode
 from headway.rollout.workers.worker import Contribute, Done
 
@@ -85,11 +83,6 @@ class Contributors(Backend, Protocol):
         `turn` names the worker to wait for; None: the first one to finish.
         """
         ...
-
-
-def evaluation_requests(plan: RolloutPlan, root: int, episodes: int, greedy: bool) -> list[EvaluationRequest]:
-    """Split an evaluation into blocks, the same on every backend."""
-    return EvaluationRequest.split(root, episodes, greedy, evaluation_block(plan.spec))
 
 
 def concatenate_blocks(parts: Iterable[list[list[Row]]]) -> list[list[Row]]:

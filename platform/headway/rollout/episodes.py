@@ -3,16 +3,26 @@
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, HeadwayError, Observations, Rule, StepResult, child_seeds, generator
+from headway.contracts import (
+    BatchedEnv,
+    EnvSpec,
+    HeadwayError,
+    Observations,
+    Rule,
+    StepResult,
+    child_seeds,
+    generator,
+)
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row
 from headway.rollout.nan_check import NameCopy, check_finite
-from headway.rollout.plan import EVALUATION_BLOCK, RolloutPlan, evaluation_block
+from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.rollout.policy_player import PolicyPlayer
 from headway.rollout.sampler import Tally
 
@@ -34,10 +44,9 @@ class EvaluationRequest:
     greedy: bool
 
     @classmethod
-    def split(
-        cls, root: int, episodes: int, greedy: bool, block: int = EVALUATION_BLOCK
-    ) -> list["EvaluationRequest"]:
-        """Split an evaluation into requests of at most `block` episodes, the same on every backend."""
+    def split(cls, root: int, episodes: int, greedy: bool, spec: EnvSpec) -> list["EvaluationRequest"]:
+        """Split an evaluation into requests of `evaluation_block` episodes, the same on every backend."""
+        block = evaluation_block(spec)
         starts = range(0, episodes, block)
         return [cls(root, first, min(block, episodes - first), greedy) for first in starts]
 
@@ -154,20 +163,14 @@ def evaluate_rule(
     rows: list[Row] = []
     rule = make_rule(prepared)  # one for all blocks, so that a random rule continues its random stream
     with closing(make_env(prepared, 1)) as env:
-        block = evaluation_block(env.spec)
-    for request in EvaluationRequest.split(root, episodes, True, block):
-        env = make_env(prepared, request.count)
-        act = _RuleActor(env, rule)
-        with closing(env):
+        requests = EvaluationRequest.split(root, episodes, True, env.spec)
+    for request in requests:
+        with closing(make_env(prepared, request.count)) as env:
+            act = partial(_rule_actions, rule, env)
             played = run_episodes(env, request.seeds, act, request.name_copy, on_step=on_step)
         rows += [{"episode_seed": request.first + i, **row} for i, row in enumerate(played)]
     return rows
 
 
-@dataclass(frozen=True)
-class _RuleActor:
-    env: BatchedEnv
-    rule: Rule
-
-    def __call__(self, observed: Observations, step: int) -> NDArray[Any]:
-        return self.rule.act(self.env, observed)
+def _rule_actions(rule: Rule, env: BatchedEnv, observed: Observations, step: int) -> NDArray[Any]:
+    return rule.act(env, observed)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Observations, RecurrentPolicy, StepResult
-from headway.contracts.acting_policy import Parameters, acts_in_any_block
+from headway.contracts.acting_policy import Parameters
 from headway.rollout.plan import RolloutPlan
 
 _BlockResult = tuple[NDArray[Any], NDArray[np.float64], NDArray[Any] | None]
@@ -23,7 +23,7 @@ class PolicyPlayer:
 
     def __init__(self, plan: RolloutPlan, copies: int, block: int) -> None:
         self.plan, self.copies = plan, copies
-        if acts_in_any_block(plan.policy):
+        if getattr(plan.policy, "any_block", False):
             block = copies
         self.blocks = [slice(start, min(start + block, copies)) for start in range(0, copies, block)]
         agents = (plan.replicas * copies, plan.spec.num_agents)

@@ -5,7 +5,8 @@ from typing import Any, Protocol
 from headway.contracts import Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
-from headway.rollout.collector import concatenate_blocks, evaluation_requests, require_shards, restart_purpose
+from headway.rollout.collector import concatenate_blocks, require_shards, restart_purpose
+from headway.rollout.episodes import EvaluationRequest
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode, sort_episodes
 from headway.rollout.workers.worker import Begin, Collect, Evaluate
@@ -57,7 +58,7 @@ class PoolCollector:
         Each task is one block of episodes of one replica group; the workers take the tasks in turn.
         """
         self.transport.publish(parameters)
-        requests = evaluation_requests(self.plan, root, episodes, greedy)
+        requests = EvaluationRequest.split(root, episodes, greedy, self.plan.spec)
         tasks = [Evaluate(request, *group) for group in self.plan.groups for request in requests]
         played: list[list[list[Row]]] = []
         for start in range(0, len(tasks), len(self.pool.workers)):

@@ -5,8 +5,8 @@ from typing import Any
 from headway.contracts import Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
-from headway.rollout.collector import concatenate_blocks, evaluation_requests, require_shards, restart_purpose
-from headway.rollout.episodes import evaluate_policy
+from headway.rollout.collector import concatenate_blocks, require_shards, restart_purpose
+from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode, Sampler, sort_episodes
 
@@ -31,7 +31,7 @@ class SerialCollector:
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
         """Play evaluation episodes, one block after another."""
-        requests = evaluation_requests(self.plan, root, episodes, greedy)
+        requests = EvaluationRequest.split(root, episodes, greedy, self.plan.spec)
         return concatenate_blocks([evaluate_policy(self.plan, parameters, request) for request in requests])
 
     def snapshot(self) -> list[Any]:

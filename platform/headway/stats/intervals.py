@@ -1,4 +1,4 @@
-"""Confidence intervals of means and of differences, by Student's t.
+"""95% intervals of means and of differences, by Student's t.
 
 "A beats B" means a paired difference on common evaluation seeds whose 95% interval excludes 0. Source for the
 sum of several variances: Banerjee 1961, "On confidence interval for two-means problem based on separate
@@ -8,36 +8,30 @@ estimates of variances and tabulated values of t-table", Sankhya A 23.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from headway.stats.samples import CONFIDENCE, Interval, as_sample, check_confidence
+from headway.stats.samples import CONFIDENCE, Interval, as_sample
 
 
-def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+def paired_difference(a: ArrayLike, b: ArrayLike) -> Interval:
     """Return the mean of a - b with its interval by Student's t over evaluation episodes.
 
     `a` and `b` have shape (episodes,), entry j from evaluation episode j. Raises ValueError for fewer than
-    two episodes, different shapes, values that are not finite, or a confidence outside (0, 1).
+    two episodes, different shapes, or values that are not finite.
     """
-    mean, half = mean_and_half_width(_differences(a, b, 1), confidence)
-    return Interval(float(mean), float(mean - half), float(mean + half), confidence, "t over episodes")
+    mean, half = mean_and_half_width(_differences(a, b, 1))
+    return Interval(float(mean), float(mean - half), float(mean + half), "t over episodes")
 
 
-def mean_and_half_width(
-    values: NDArray[np.float64], confidence: float = CONFIDENCE
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean over axis 0, of length at least 2, and the half width of its interval by Student's t.
-
-    Raises ValueError for a confidence outside (0, 1).
-    """
+def mean_and_half_width(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean over axis 0, of length at least 2, and its interval's half width by Student's t."""
     # The quantile of Student's t; scipy.stats takes thrice as long to import.
     from scipy.special import stdtrit
 
-    check_confidence(confidence)
     count = len(values)
     error = values.std(axis=0, ddof=1) / np.sqrt(count)
-    return values.mean(axis=0), stdtrit(count - 1, (1 + confidence) / 2) * error
+    return values.mean(axis=0), stdtrit(count - 1, (1 + CONFIDENCE) / 2) * error
 
 
-def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike) -> Interval:
     """Return the mean of a - b with an interval over both training seeds and evaluation episodes.
 
     `a` and `b` have shape (seeds, episodes), entry (i, j) from training seed i on evaluation episode j. The
@@ -56,38 +50,35 @@ def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike, confidence: float =
     standard errors. It cannot account for failures that did not occur: if one seed in four fails, five seeds
     are often all good, and in simulation only three intervals in four contained the true value.
 
-    Raises ValueError for fewer than two seeds or two episodes, different shapes, values that are not finite,
-    or a confidence outside (0, 1).
+    Raises ValueError for fewer than two seeds or two episodes, different shapes, or values not finite.
     """
     difference = _differences(a, b, 2)
     mean = float(difference.mean())
-    _, of_seeds = mean_and_half_width(difference.mean(axis=1), confidence)
-    _, of_episodes = mean_and_half_width(difference.mean(axis=0), confidence)
+    _, of_seeds = mean_and_half_width(difference.mean(axis=1))
+    _, of_episodes = mean_and_half_width(difference.mean(axis=0))
     half = float(np.hypot(of_seeds, of_episodes))
-    return Interval(mean, mean - half, mean + half, confidence, "t over seeds and episodes")
+    return Interval(mean, mean - half, mean + half, "t over seeds and episodes")
 
 
-def difference_of_means(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+def difference_of_means(a: ArrayLike, b: ArrayLike) -> Interval:
     """Return the mean of `a` minus the mean of `b` with its interval by Welch's t, for unpaired seeds.
 
     `a` and `b` hold one value per seed, shapes (seeds of a,) and (seeds of b,); their variances may differ.
     If neither varies, the ends of the interval are NaN. Source: Welch 1947, "The generalization of Student's
     problem when several different population variances are involved", Biometrika 34.
 
-    Raises ValueError for fewer than two seeds of either, values that are not finite, or a confidence outside
-    (0, 1).
+    Raises ValueError for fewer than two seeds of either, or values that are not finite.
     """
     from scipy import stats
 
-    check_confidence(confidence)
     left, right = as_sample(a, "a"), as_sample(b, "b")
     if min(len(left), len(right)) < 2:
         raise ValueError("an interval needs at least two seeds of each")
     estimate, low, high = float(left.mean() - right.mean()), float("nan"), float("nan")
     if np.ptp(left) > 0 or np.ptp(right) > 0:
-        found = stats.ttest_ind(left, right, equal_var=False).confidence_interval(confidence)
+        found = stats.ttest_ind(left, right, equal_var=False).confidence_interval(CONFIDENCE)
         low, high = float(found.low), float(found.high)
-    return Interval(estimate, low, high, confidence, "Welch's t over seeds")
+    return Interval(estimate, low, high, "Welch's t over seeds")
 
 
 def _differences(a: ArrayLike, b: ArrayLike, axes: int) -> NDArray[np.float64]:

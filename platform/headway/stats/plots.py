@@ -83,7 +83,7 @@ def learning_curves(
     """
     column = "mean" if "mean" in means.columns else "iqm"
     tasks = list(dict.fromkeys(means["task"])) if "task" in means.columns else [""]
-    figure = _figure(_WIDTH, 3.9 * len(tasks) + 0.3 * bool(title))
+    figure = _figure(3.9 * len(tasks) + 0.3 * bool(title))
     panels = figure.subplots(len(tasks), squeeze=False)[:, 0]
     for task, axes in zip(tasks, panels, strict=True):
         of_task = means[means["task"] == task] if task else means
@@ -119,7 +119,7 @@ def learning_curves(
 
 def run_curves(curves: Mapping[str, Mapping[int, float]], title: str) -> "Figure":
     """Plot the curves of one run, one panel each: label -> environment steps -> value."""
-    figure = _figure(_WIDTH, 1.0 + 2.2 * len(curves))
+    figure = _figure(1.0 + 2.2 * len(curves))
     for (label, points), axes in zip(
         curves.items(), figure.subplots(len(curves), squeeze=False, sharex=True)[:, 0], strict=True
     ):
@@ -259,7 +259,7 @@ def intervals(
         _wrapped(name) + (f"\n(off scale: {_four_digits(float(own[0]))})" if name in excluded else "")
         for name, own in zip(names, ends, strict=True)
     ]
-    figure = _figure(_WIDTH, 0.9 + _rows_height(beside) + 0.2 * len(rules))
+    figure = _figure(0.9 + _rows_height(beside) + 0.2 * len(rules))
     axes = figure.subplots()
     for place, name in enumerate(names):
         row, colour = summary.loc[name], styles[name]["color"]
@@ -284,7 +284,7 @@ def performance_profiles(
     profiles: "pd.DataFrame", label: str, styles: Mapping[str, Mapping[str, Any]]
 ) -> "Figure":
     """Plot the frame of `profiles`: the share of runs above each score."""
-    figure = _figure(_WIDTH, 3.9)
+    figure = _figure(3.9)
     axes = figure.subplots()
     for controller, profile in profiles.groupby("controller", sort=False):
         name, points = str(controller), profile["threshold"].to_numpy()
@@ -305,7 +305,7 @@ def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) ->
     `cpu_seconds_std`. `units` gives (unit, factor) of `kwh` and, if it is known, of `kg_co2`.
     """
     places, names = np.arange(len(energy)), [_wrapped(str(name)) for name in energy.index]
-    figure = _figure(_WIDTH, 1.4 + _rows_height(names))
+    figure = _figure(1.4 + _rows_height(names))
     panels = list(figure.subplots(1, 3 if "kg_co2" in units else 2, sharey=True))
     middle, right = panels[-2:]
     errors: dict[str, Any] = {"capsize": 3, "ecolor": "0.25", "height": 0.6}
@@ -349,7 +349,7 @@ def reward_against_cost(
     vertical axis. Controllers far worse than most (`outliers`, see there for `sign`) are in the legend only.
     """
     tasks = list(dict.fromkeys(runs["task"]))
-    figure = _figure(_WIDTH, 3.7 * len(tasks))
+    figure = _figure(3.7 * len(tasks))
     panels = figure.subplots(len(tasks), squeeze=False)[:, 0]
     for task, axes in zip(tasks, panels, strict=True):
         grouped = runs[runs["task"] == task].groupby("controller", sort=False)
@@ -387,7 +387,7 @@ def reward_components(components: "pd.DataFrame") -> "Figure":
     longest = max(len(line) for name in names for line in name.split("\n"))
     across = min(len(components.columns), 2 if longest > _NAME_LENGTH // 2 else 3)
     down = -(-len(components.columns) // across)
-    figure = _figure(_WIDTH, down * (1.0 + _rows_height(names)))
+    figure = _figure(down * (1.0 + _rows_height(names)))
     panels = figure.subplots(down, across, sharey=True, squeeze=False).ravel()
     for axes, name in zip(panels, components.columns, strict=False):
         axes.barh(places, components[name], height=0.6, color="#4477AA")
@@ -445,10 +445,10 @@ def _format_steps(axes: "Axes") -> None:
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
 
 
-def _figure(width: float, height: float) -> "Figure":
+def _figure(height: float) -> "Figure":
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), dpi=_DOTS_PER_INCH, layout="constrained")
+    return Figure(figsize=(_WIDTH, height), dpi=_DOTS_PER_INCH, layout="constrained")
 
 
 def _style_axes(axes: "Axes", across: str, upward: str) -> None:

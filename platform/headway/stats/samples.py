@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 CONFIDENCE = 0.95
-"""Default confidence of every interval."""
+"""Confidence of every interval."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,12 +20,11 @@ class MeanStd:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """An estimate with its confidence interval."""
+    """An estimate with its 95% interval."""
 
     estimate: float
     low: float
     high: float
-    confidence: float
     method: str
     """Method of the interval, and what it averages over: `t over episodes`."""
 
@@ -57,9 +56,3 @@ def as_sample(values: ArrayLike, name: str, axes: int = 1) -> NDArray[np.float64
     if not np.isfinite(sample).all():
         raise ValueError(f"{name} must be finite")
     return sample
-
-
-def check_confidence(confidence: float) -> None:
-    """Raise ValueError for a confidence outside (0, 1)."""
-    if not 0 < confidence < 1:
-        raise ValueError(f"confidence {confidence} must be between 0 and 1")

@@ -11,13 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from headway.stats.samples import CONFIDENCE, Interval, as_sample, check_confidence
+from headway.stats.samples import CONFIDENCE, Interval, as_sample
 
 RESAMPLES = 10_000
 """Bootstrap resamples of a single statistic."""
 BAND_RESAMPLES = 2_000
 """Bootstrap resamples of statistics along a curve, and of pairwise comparisons."""
 _METHOD = "stratified bootstrap"
+_SEED = 0
+"""Seed of the resampling: equal scores have equal intervals."""
 
 Statistic = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """A statistic along the last axis: (..., runs) -> (...)."""
@@ -42,34 +44,25 @@ def interquartile_mean(scores: ArrayLike) -> float:
 
 
 def stratified_bootstrap_interval(
-    scores: Sequence[ArrayLike],
-    statistic: Statistic | None = None,
-    confidence: float = CONFIDENCE,
-    resamples: int = RESAMPLES,
-    seed: int = 0,
+    scores: Sequence[ArrayLike], statistic: Statistic | None = None
 ) -> Interval:
     """Return a statistic over all scores with its percentile interval by the stratified bootstrap.
 
     Runs are drawn with replacement within each task (Agarwal et al. 2021). `statistic` maps (..., scores) to
-    (...); default: the interquartile mean. Raises ValueError if there are no tasks, a task has no scores or
-    one that is not finite, or `confidence` is outside (0, 1).
+    (...); default: the interquartile mean. Raises ValueError if there are no tasks, or if a task has no
+    scores or one that is not finite.
     """
-    check_confidence(confidence)
     tasks = _tasks(scores, "scores")
     evaluate = statistic or _trimmed
-    generator = np.random.default_rng(seed)
-    drawn = [task[_draw(generator, len(task), resamples)] for task in tasks]
+    generator = np.random.default_rng(_SEED)
+    drawn = [task[_draw(generator, len(task), RESAMPLES)] for task in tasks]
     estimate = float(evaluate(np.concatenate(tasks)))
-    low, high = _percentiles(evaluate(np.concatenate(drawn, axis=-1)), confidence)
-    return Interval(estimate, float(low), float(high), confidence, _METHOD)
+    low, high = _percentiles(evaluate(np.concatenate(drawn, axis=-1)))
+    return Interval(estimate, float(low), float(high), _METHOD)
 
 
 def probability_of_improvement(
-    a: Sequence[ArrayLike],
-    b: Sequence[ArrayLike],
-    confidence: float = CONFIDENCE,
-    resamples: int = BAND_RESAMPLES,
-    seed: int = 0,
+    a: Sequence[ArrayLike], b: Sequence[ArrayLike], resamples: int = BAND_RESAMPLES
 ) -> Interval:
     """Return the probability that a run of `a` scores above a run of `b`, averaged over tasks.
 
@@ -77,11 +70,10 @@ def probability_of_improvement(
     For the percentile interval the runs of both are drawn with replacement within each task. Raises
     ValueError if the numbers of tasks differ, and for the reasons of `stratified_bootstrap_interval`.
     """
-    check_confidence(confidence)
     left, right = _tasks(a, "a"), _tasks(b, "b")
     if len(left) != len(right):
         raise ValueError(f"a has {len(left)} tasks and b has {len(right)}: both need the same tasks")
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(_SEED)
     estimates, drawn = [], []
     for ours, theirs in zip(left, right, strict=True):
         # (runs of a, runs of b): 1 for a win of a, 0.5 for a tie, 0 for a loss.
@@ -90,49 +82,36 @@ def probability_of_improvement(
         columns = _draw(generator, len(theirs), resamples)
         estimates.append(wins.mean())
         drawn.append(wins[rows[:, :, None], columns[:, None, :]].mean(axis=(1, 2)))
-    low, high = _percentiles(np.mean(drawn, axis=0), confidence)
-    return Interval(float(np.mean(estimates)), float(low), float(high), confidence, _METHOD)
+    low, high = _percentiles(np.mean(drawn, axis=0))
+    return Interval(float(np.mean(estimates)), float(low), float(high), _METHOD)
 
 
-def performance_profile(
-    scores: Sequence[ArrayLike],
-    thresholds: ArrayLike,
-    confidence: float = CONFIDENCE,
-    resamples: int = BAND_RESAMPLES,
-    seed: int = 0,
-) -> Band:
+def performance_profile(scores: Sequence[ArrayLike], thresholds: ArrayLike) -> Band:
     """Return the share of runs that score above each of `thresholds` (points,), with pointwise intervals.
 
     This is the run-score distribution of Agarwal et al. 2021, with percentile intervals by the stratified
     bootstrap. Raises ValueError for the reasons of `stratified_bootstrap_interval`.
     """
-    check_confidence(confidence)
     tasks, points = _tasks(scores, "scores"), as_sample(thresholds, "thresholds")
-    generator = np.random.default_rng(seed)
-    drawn = [task[_draw(generator, len(task), resamples)] for task in tasks]
+    generator = np.random.default_rng(_SEED)
+    drawn = [task[_draw(generator, len(task), BAND_RESAMPLES)] for task in tasks]
     everything, resampled = np.concatenate(tasks), np.concatenate(drawn, axis=-1)
     shares = np.stack([(resampled > point).mean(axis=-1) for point in points], axis=-1)
-    low, high = _percentiles(shares, confidence)
+    low, high = _percentiles(shares)
     return Band((everything[:, None] > points).mean(axis=0), low, high)
 
 
-def sample_efficiency(
-    curves: Sequence[ArrayLike],
-    confidence: float = CONFIDENCE,
-    resamples: int = BAND_RESAMPLES,
-    seed: int = 0,
-) -> Band:
+def sample_efficiency(curves: Sequence[ArrayLike], resamples: int = BAND_RESAMPLES) -> Band:
     """Return the interquartile mean at each point of the curves, with pointwise percentile intervals.
 
     `curves` holds one array of shape (runs, points) per task. Whole runs are drawn with replacement within
     each task (Agarwal et al. 2021). Raises ValueError if the numbers of points differ, and for the reasons of
     `stratified_bootstrap_interval`.
     """
-    check_confidence(confidence)
     tasks = [as_sample(task, f"curves[{index}]", axes=2) for index, task in enumerate(curves)]
     if len({task.shape[1] for task in tasks}) != 1:
         raise ValueError("curves must hold at least one task, and all tasks the same number of points")
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(_SEED)
     drawn = [_draw(generator, len(task), resamples) for task in tasks]
     everything = np.concatenate(tasks)
     # Point by point: all points at once would need resamples x runs x points numbers.
@@ -145,7 +124,7 @@ def sample_efficiency(
         ],
         axis=-1,
     )
-    low, high = _percentiles(resampled, confidence)
+    low, high = _percentiles(resampled)
     return Band(_trimmed(everything.T), low, high)
 
 
@@ -180,9 +159,7 @@ def _draw(generator: np.random.Generator, runs: int, resamples: int) -> NDArray[
     return generator.integers(0, runs, (resamples, runs))
 
 
-def _percentiles(
-    resampled: NDArray[np.float64], confidence: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _percentiles(resampled: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the ends of the percentile interval along axis 0, the resamples."""
-    low, high = np.quantile(resampled, [(1 - confidence) / 2, (1 + confidence) / 2], axis=0)
+    low, high = np.quantile(resampled, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
     return low, high

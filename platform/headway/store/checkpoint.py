@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from headway.contracts import HeadwayError
+from headway.contracts.acting_policy import ActingPolicy, Parameters
 from headway.store.atomic_files import make_folder, remove_partial, sync_folder
 from headway.store.fencing import discard, write_through
 
@@ -131,6 +132,22 @@ def _newest_valid(
             f"every checkpoint in {where} is broken: start the run anew ({'; '.join(notices)})"
         )
     raise HeadwayError(f"there is no checkpoint in {where}: start the run anew")
+
+
+def require_same_shapes(
+    parameters: Parameters, policy: ActingPolicy, replicas: int, environment: str, run: Path
+) -> None:
+    """Raise HeadwayError if a checkpoint's arrays do not have the shapes of `policy`.
+
+    `parameters` are those of `replicas` replicas, from the run folder `run`.
+    """
+    # A run is loaded with its stored configuration, so shapes differ only if the environment has changed.
+    for name, (shape, _) in policy.parameter_shapes(replicas).items():
+        if name not in parameters or np.shape(parameters[name]) != shape:
+            raise HeadwayError(
+                f"run {run.name} was trained on a version of {environment} with other observations, actions "
+                "or agents; train it again"
+            )
 
 
 def latest_iteration(directory: Path) -> int | None:

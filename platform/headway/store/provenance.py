@@ -2,7 +2,8 @@
 
 import platform
 import subprocess
-from functools import lru_cache
+from collections.abc import Mapping
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -26,18 +27,17 @@ _PACKAGES = (
 _GIT_SECONDS = 5.0
 
 
-@lru_cache(maxsize=4)
-def _provenance(project: Path) -> tuple[tuple[str, str], ...]:
-    return tuple((_versions() | _revision(project) | _hardware()).items())
+def provenance() -> Mapping[str, str]:
+    """Return package versions, git revision of the current folder and hardware, as tags of a run.
 
-
-def provenance(project: Path | None = None) -> dict[str, str]:
-    """Return package versions, git revision and hardware, as tags of a run.
-
-    `project`: folder of the git repository; default: the current one. Imports none of those packages; leaves
-    out what cannot be determined.
+    Imports none of those packages; leaves out what cannot be determined.
     """
-    return dict(_provenance((project or Path.cwd()).resolve()))
+    return _provenance(Path.cwd())
+
+
+@cache
+def _provenance(project: Path) -> Mapping[str, str]:
+    return _versions() | _revision(project) | _hardware()
 
 
 def _versions() -> dict[str, str]:

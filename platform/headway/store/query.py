@@ -219,16 +219,11 @@ class RunSelection:
         with ThreadPoolExecutor(_READERS) as readers:
             found = list(readers.map(lambda row: read_one(Path(row.directory)), self.rows))
         labelled = [
-            self._labels(row, len(frame)).join(frame)
+            pd.DataFrame([self._label(row)] * len(frame), columns=list(LABELS)).join(frame)
             for row, frame in zip(self.rows, found, strict=True)
             if len(frame)
         ]
         return pd.concat(labelled, ignore_index=True) if labelled else pd.DataFrame(columns=list(LABELS))
-
-    def _labels(self, row: RunRow, count: int) -> "pd.DataFrame":
-        import pandas as pd
-
-        return pd.DataFrame([self._label(row)] * count, columns=list(LABELS))
 
     def _label(self, row: RunRow) -> dict[str, str | int]:
         name = self.names[row.cell]

@@ -9,7 +9,7 @@ import os
 import re
 import secrets
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from hashlib import sha256
@@ -140,10 +140,6 @@ class RunRecord:
             raise HeadwayError(
                 f"{directory / RECORD} is not a valid run record: remove or repair it"
             ) from error
-
-    def ended_as(self, status: Status) -> Self:
-        """Return the record with `status` and the current time as the end."""
-        return replace(self, status=status, ended=now())
 
 
 def now() -> str:

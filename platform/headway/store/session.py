@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,7 +14,6 @@ from headway.store.artifacts import write_views
 from headway.store.atomic_files import locked, make_folder, read_json, write_json, write_text
 from headway.store.energy_log import EnergyLog
 from headway.store.fencing import close_gates, open_gate
-from headway.store.index import RunIndex
 from headway.store.parquet_log import read_rows
 from headway.store.provenance import provenance
 from headway.store.run_folder import (
@@ -64,22 +64,6 @@ class SessionStore:
             store._mlflow.connect()
         return store
 
-    def begin_cell(
-        self,
-        study: str,
-        environment: str,
-        algorithm: str,
-        parameters: Mapping[str, object],
-        tags: Mapping[str, str] | None = None,
-    ) -> "Cell":
-        """Return a cell of a study.
-
-        `parameters` (flat, dotted names) are the same for all its seeds; every run gets `tags` and the tags
-        of `provenance`.
-        """
-        texts = {name: str(value) for name, value in parameters.items()}
-        return Cell(self, study, environment, algorithm, texts, {**provenance(), **(tags or {})})
-
     def resume(self, run_id: str, stacked: bool = False) -> "Run":
         """Reopen a killed or failed run and prevent its former training process from writing to it.
 
@@ -104,11 +88,6 @@ class SessionStore:
             record.write(directory)
         return Run(self, directory, record, gate)
 
-    @property
-    def index(self) -> RunIndex:
-        """Summaries of all runs of this store."""
-        return RunIndex(self.root)
-
     def notices(self) -> tuple[str, ...]:
         """Return the lines for the user since the last call."""
         return self._mlflow.notices()
@@ -127,12 +106,9 @@ class SessionStore:
         Runs of earlier sessions are included.
         """
         if unsent_runs(self.root, self.tracking_uri):
-            self.track(self._send_unsent)
+            self.track(partial(send_unsent, self.root))
         self._mlflow.close(seconds)
         return self.notices()
-
-    def _send_unsent(self, tracker: Tracker) -> None:
-        send_unsent(self.root, tracker)
 
 
 class Cell:
@@ -144,20 +120,19 @@ class Cell:
         study: str,
         environment: str,
         algorithm: str,
-        parameters: Mapping[str, str],
-        tags: Mapping[str, str],
+        parameters: Mapping[str, object],
     ) -> None:
-        self._store = store
+        """`parameters` (flat, dotted names) are the same for all seeds."""
+        self._store, self._tags = store, provenance()
         self._study, self._environment, self._algorithm = study, environment, algorithm
-        self._parameters, self._tags = parameters, tags
-        self.name = cell_name(environment, algorithm, parameters)
+        self._parameters = {name: str(value) for name, value in parameters.items()}
+        self.name = cell_name(environment, algorithm, self._parameters)
 
     def begin_run(
         self,
         seed: int,
         config_yaml: str,
         plan: Mapping[str, Any],
-        tags: Mapping[str, str] | None = None,
         *,
         iterations: int,
         policies: str = "",
@@ -183,7 +158,7 @@ class Cell:
             preset=preset,
             candidate=candidate,
             parameters=self._parameters,
-            tags={**self._tags, **(tags or {})},
+            tags=self._tags,
             tracking_uri=self._store.tracking_uri,
             curve_points=self._store.curve_points,
         )
@@ -225,7 +200,8 @@ class Run:
         self.record = record
         self._store = store
         self._resumed_at = now()
-        self._energy = EnergyLog(directory)
+        self.energy = EnergyLog(directory)
+        """Energy samples of the run, whose values are totals over all sessions."""
         store.track_run(directory)
 
     @property
@@ -247,7 +223,7 @@ class Run:
             durable_env_steps=max([self.record.durable_env_steps, *env_steps]),
         )
         self.record.write(self.directory)
-        self._energy.write_if_due()
+        self.energy.write_if_due()
         self._store.track_run(self.directory)
 
     def note_restart(self, iteration: int) -> None:
@@ -262,18 +238,6 @@ class Run:
         self.record.write(self.directory)
         self._store.track_run(self.directory)
 
-    def energy(self, sample: Row) -> None:
-        """Add one energy sample of this run, a row of `energy.parquet`.
-
-        Its values are the totals so far, earlier sessions included (see `energy_so_far`).
-        """
-        self._energy.append(sample)
-
-    @property
-    def energy_so_far(self) -> Row:
-        """Last energy sample, from an earlier session if this one has none yet; empty if there is none."""
-        return self._energy.last()
-
     def finish(self, status: Status, summary: Mapping[str, float | int | str | None]) -> None:
         """End the run after its training process: close its gate, then write summary, views and status.
 
@@ -281,11 +245,11 @@ class Run:
         files cannot be written or the log cannot be read.
         """
         close_gates(self.directory)
-        self._energy.write()
+        self.energy.write()
         write_json(self.directory / SUMMARY, summary)
         write_views(self.directory, self.run_id)
-        ended = self.record.ended_as(status)
-        self.record = replace(ended, duration_s=ended.duration_s + _seconds_since(self._resumed_at))
+        duration_s = self.record.duration_s + _seconds_since(self._resumed_at)
+        self.record = replace(self.record, status=status, ended=now(), duration_s=duration_s)
         self.record.write(self.directory)
         self._store.track_run(self.directory)
 

@@ -41,10 +41,10 @@ from headway.store.checkpoint import (
     checkpoint_bytes,
     load_for_resume,
     remove_replay,
+    require_same_shapes,
     write_checkpoint,
     write_replay,
 )
-from headway.store.checkpoint_shapes import require_same_shapes
 from headway.store.parquet_log import RunLog
 from headway.store.run_folder import CHECKPOINTS
 from headway.training.modes import AsynchronousMode, Mode, SynchronousMode

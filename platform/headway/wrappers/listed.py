@@ -26,12 +26,12 @@ class ListedWrapper:
         return {"name": self.name, **plain(self.arguments)}
 
 
-def listed_wrappers(items: Sequence[Any], path: str = "env.wrappers") -> tuple[ListedWrapper, ...]:
+def listed_wrappers(items: Sequence[Any]) -> tuple[ListedWrapper, ...]:
     """Return the wrappers of a list in order; items are names, or mappings of `name` and arguments.
 
     Raises HeadwayError, suggesting the nearest name, for an unknown wrapper or argument.
     """
-    return tuple(_listed(item, f"{path}[{index}]") for index, item in enumerate(items))
+    return tuple(_listed(item, f"env.wrappers[{index}]") for index, item in enumerate(items))
 
 
 def _listed(item: Any, path: str) -> ListedWrapper:  # noqa: ANN401 - whatever YAML holds

@@ -97,29 +97,17 @@ class ChangedObservations(BatchWrapper):
         return replace(outcome, final_observations=self._finals), self._begin(observed)
 
 
-@dataclass(frozen=True)
-class _Append:
-    """Appends the same numbers, (N, columns), to each agent's observations."""
-
-    suffix: Floats
-
-    def __call__(self, observations: Floats, out: Floats) -> None:
-        size = observations.shape[-1]
-        out[..., :size] = observations
-        out[..., size:] = self.suffix
+def _append(suffix: Floats, observations: Floats, out: Floats) -> None:
+    """Append the same numbers, (N, columns), to each agent's observations."""
+    size = observations.shape[-1]
+    out[..., :size] = observations
+    out[..., size:] = suffix
 
 
-@dataclass(frozen=True)
-class _Normalize:
-    """Scales observations to new bounds, in SuperSuit's order of operations for equality to the last bit."""
-
-    low: Floats
-    size: Floats
-    env_min: float
-    span: float
-
-    def __call__(self, observations: Floats, out: Floats) -> None:
-        out[...] = (observations - self.low) / self.size * self.span + self.env_min
+def _normalize(bounds: ObservationBounds, new: NormalizeObs, observations: Floats, out: Floats) -> None:
+    """Scale observations to new bounds, in SuperSuit's order of operations for equality to the last bit."""
+    span = new.env_max - new.env_min
+    out[...] = (observations - bounds.low) / (bounds.high - bounds.low) * span + new.env_min
 
 
 def batched_agent_indicator(arguments: AgentIndicator, bounds: ObservationBounds) -> BatchedWrapper:
@@ -134,7 +122,7 @@ def batched_agent_indicator(arguments: AgentIndicator, bounds: ObservationBounds
     suffix[np.arange(len(types)), [columns[agent_type] for agent_type in types]] = height
     pad = np.full(len(columns), bounds.high.min(), dtype=np.float32)
     low, high = np.append(bounds.low, np.zeros_like(pad)), np.append(bounds.high, pad)
-    wrap = partial(ChangedObservations, size=len(low), write=_Append(suffix))
+    wrap = partial(ChangedObservations, size=len(low), write=partial(_append, suffix))
     return BatchedWrapper(wrap, replace(bounds, low=low, high=high))
 
 
@@ -145,10 +133,8 @@ def batched_normalize_obs(arguments: NormalizeObs, bounds: ObservationBounds) ->
             "normalize_obs_v0 needs finite bounds, and this environment's observations have none; "
             "leave it out (algo.normalise_observations learns the scale instead)"
         )
-    env_min, env_max = arguments.env_min, arguments.env_max
-    write = _Normalize(bounds.low, bounds.high - bounds.low, env_min, env_max - env_min)
-    wrap = partial(ChangedObservations, size=len(bounds.low), write=write)
-    low, high = np.full_like(bounds.low, env_min), np.full_like(bounds.high, env_max)
+    wrap = partial(ChangedObservations, size=len(bounds.low), write=partial(_normalize, bounds, arguments))
+    low, high = np.full_like(bounds.low, arguments.env_min), np.full_like(bounds.high, arguments.env_max)
     return BatchedWrapper(wrap, replace(bounds, low=low, high=high))
 
 

@@ -91,7 +91,7 @@ def _trial_info_keys(made: WrappedParallelEnv, subject: str, problem: str) -> se
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            env = replace(made, make=_EndingSlots(made.make))()
+            env = replace(made, make=_with_ending_slots(made.make))()
             try:
                 return _info_keys(env)
             finally:
@@ -103,28 +103,23 @@ def _trial_info_keys(made: WrappedParallelEnv, subject: str, problem: str) -> se
         raise HeadwayError(f"{subject} {problem}: {type(error).__name__}: {reason}") from error
 
 
-@dataclass(frozen=True)
-class _EndingSlots:
-    """A ParallelEnv factory in which every slot's stream ends at every step, if agents come and go.
+def _with_ending_slots(make: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return a ParallelEnv factory in which every slot's stream ends at every step, if agents come and go.
 
     In the few steps of a trial, `slot_ended` would hardly ever occur otherwise.
     """
+    from pettingzoo.utils import BaseParallelWrapper
 
-    make: Callable[[Any], Any]
+    class Ending(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo comes without types
+        def step(self, actions: Mapping[str, Any]) -> tuple[Any, ...]:
+            *rest, infos = self.env.step(actions)
+            marked = {
+                agent: {**info, "slot_ended": "truncated"} if "alive" in info else info
+                for agent, info in infos.items()
+            }
+            return (*rest, marked)
 
-    def __call__(self, prepared: object) -> Any:  # noqa: ANN401 - PettingZoo comes without types
-        from pettingzoo.utils import BaseParallelWrapper
-
-        class Ending(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo comes without types
-            def step(self, actions: Mapping[str, Any]) -> tuple[Any, ...]:
-                *rest, infos = self.env.step(actions)
-                marked = {
-                    agent: {**info, "slot_ended": "truncated"} if "alive" in info else info
-                    for agent, info in infos.items()
-                }
-                return (*rest, marked)
-
-        return Ending(self.make(prepared))
+    return lambda prepared: Ending(make(prepared))
 
 
 def _info_keys(env: Any) -> set[str]:  # noqa: ANN401 - PettingZoo comes without types

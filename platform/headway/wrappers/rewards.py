@@ -66,33 +66,17 @@ class ChangedRewards(BatchWrapper):
         return replace(outcome, rewards=self._rewards), observed
 
 
-@dataclass(frozen=True)
-class _Clip:
-    low: float
-    high: float
-
-    def __call__(self, rewards: NDArray[np.float32]) -> NDArray[np.floating[Any]]:
-        return np.clip(rewards, self.low, self.high)
-
-
-@dataclass(frozen=True)
-class _Scale:
-    scale: float
-
-    def __call__(self, rewards: NDArray[np.float32]) -> NDArray[np.floating[Any]]:
-        # In float64, like the Python floats of a ParallelEnv's rewards.
-        return np.multiply(rewards, self.scale, dtype=np.float64)
-
-
 def batched_clip_reward(arguments: ClipReward, bounds: ObservationBounds) -> BatchedWrapper:
     """Return the batched form of clip_reward_v0."""
-    clip = _Clip(arguments.lower_bound, arguments.upper_bound)
+    clip = partial(np.clip, a_min=arguments.lower_bound, a_max=arguments.upper_bound)
     return BatchedWrapper(partial(ChangedRewards, change=clip), bounds)
 
 
 def batched_scale_reward(arguments: ScaleReward, bounds: ObservationBounds) -> BatchedWrapper:
     """Return the batched form of scale_reward_v0."""
-    return BatchedWrapper(partial(ChangedRewards, change=_Scale(arguments.scale)), bounds)
+    # In float64, like the Python floats of a ParallelEnv's rewards.
+    scale = partial(np.multiply, arguments.scale, dtype=np.float64)
+    return BatchedWrapper(partial(ChangedRewards, change=scale), bounds)
 
 
 def scale_reward(env: Any, arguments: ScaleReward) -> Any:  # noqa: ANN401 - PettingZoo comes without types

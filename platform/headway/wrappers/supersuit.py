@@ -50,8 +50,6 @@ _SUMMARIES = {
     "scale_reward_v0": "each reward multiplied by a factor, in training only (Headway's own)",
     "sticky_actions_v0": "the previous action is repeated with some probability",
 }
-_ONLY_REWARDS = ("clip_reward_v0",)
-_SKIP_STEPS = ("frame_skip_v0",)
 _CHANGE_ACTIONS = ("scale_actions_v0", "pad_action_space_v0")
 Batched = tuple[type, Callable[[Any, Any], Any]]
 _BATCHED: Mapping[str, Batched] = {
@@ -106,8 +104,8 @@ def _entry(name: str) -> WrapperEntry:
         config=record,
         wrap=partial(_wrap, name),
         batched=batched,
-        only_rewards=name in _ONLY_REWARDS,
-        skips_steps=name in _SKIP_STEPS,
+        only_rewards=name == "clip_reward_v0",
+        skips_steps=name == "frame_skip_v0",
         changes_actions=name in _CHANGE_ACTIONS,
     )
 

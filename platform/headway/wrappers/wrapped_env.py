@@ -7,30 +7,47 @@ batches. If all have a batched form, a native environment stays native.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeGuard, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.adapters.modules import ModuleEnv
-from headway.adapters.parallel_entry import AdapterOptions
-from headway.adapters.pettingzoo import ParallelEnvBatch
+from headway.adapters.pettingzoo import AdapterOptions, ParallelEnvBatch
 from headway.contracts import (
     BatchedEnv,
     BatchedWrapper,
+    BatchWrapper,
     EnvEntry,
-    EnvSpec,
     HeadwayError,
     ObservationBounds,
     Observations,
     RandomRule,
-    Renderer,
     Rule,
     RuleEntry,
+    StepResult,
 )
-from headway.wrappers.batch import ZeroAbsentObservations
 from headway.wrappers.listed import ListedWrapper
 from headway.wrappers.parallel import WrappedParallelEnv, bounds_of, wrapped_parallel_env
+
+
+class ZeroAbsentObservations(BatchWrapper):
+    """Sets rows of agents not alive to zero, as a ParallelEnv shows absent agents."""
+
+    def __init__(self, inner: BatchedEnv) -> None:
+        super().__init__(inner)
+        spec = inner.spec
+        shape = (inner.num_copies, spec.num_agents, spec.observation_size)
+        self._observations = np.zeros(shape, dtype=np.float32)
+
+    def _begin(self, observed: Observations) -> Observations:
+        self._observations.fill(0)
+        np.copyto(self._observations, observed.observations, where=observed.alive[..., None])
+        return replace(observed, observations=self._observations)
+
+    def _advance(self, outcome: StepResult, observed: Observations) -> tuple[StepResult, Observations]:
+        return outcome, self._begin(observed)
 
 
 @dataclass(frozen=True)
@@ -56,24 +73,16 @@ class Wrapped:
     """Lines for the user."""
 
     def batch(self, copies: int) -> BatchedEnv:
-        """Return the wrapped environment."""
+        """Return the wrapped environment: `EnvEntry.make` of wrapped entries."""
         if self.parallel is None or self.options is None:
             env = self.make(self.prepared, copies)
         else:
-            env = self.options.adapt(self.parallel, copies, self.name)
+            env = ParallelEnvBatch(self.parallel, copies, self.name, self.options)
         if env.spec.agents_come_and_go and not isinstance(env, ParallelEnvBatch):
             env = ZeroAbsentObservations(env)
         for wrapper in self.batched:
             env = wrapper.wrap(env)
         return env
-
-
-def make_wrapped(wrapped: Wrapped, copies: int) -> BatchedEnv:
-    """Return the wrapped environment: `EnvEntry.make` of wrapped entries.
-
-    At the top level of the module, so that it can be pickled.
-    """
-    return wrapped.batch(copies)
 
 
 def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper]) -> EnvEntry:
@@ -83,33 +92,19 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
     wrapped one. Behind a wrapper that changes the meaning of actions only `random` remains, which plays the
     wrapped environment.
     """
-    rules = {"random": entry.rules["random"]} if _any_changes_actions(wrappers) else entry.rules
-    prepare_variant = entry.prepare_variant
+    rules, variant, renderer = entry.rules, entry.prepare_variant, entry.renderer
+    if any(wrapper.entry.changes_actions for wrapper in wrappers):
+        rules = {"random": rules["random"]}
+    prepare = partial(_prepare, name, entry, tuple(wrappers))
     return replace(
         entry,
-        make=make_wrapped,
-        prepare=lambda config: _prepare(name, entry, tuple(wrappers), entry.prepare(config)),
-        prepare_variant=None
-        if prepare_variant is None
-        else _prepare_variant(name, entry, tuple(wrappers), prepare_variant),
+        make=Wrapped.batch,
+        prepare=lambda config: prepare(entry.prepare(config)),
+        prepare_variant=variant and (lambda config, other: prepare(variant(config, other.prepared))),
         parallel_env=None,
         rules={rule: _rule_behind(rule, own) for rule, own in rules.items()},
-        renderer=None if entry.renderer is None else _renderer_behind(entry.renderer),
+        renderer=renderer and (lambda wrapped: renderer(wrapped.prepared)),
     )
-
-
-def _prepare_variant(
-    name: str,
-    entry: EnvEntry,
-    wrappers: tuple[ListedWrapper, ...],
-    prepare_variant: Callable[[Any, Any], Any],
-) -> Callable[[Any, Wrapped], Wrapped]:
-    """Return the wrapped entry's `prepare_variant`, given that of the entry."""
-    return lambda config, other: _prepare(name, entry, wrappers, prepare_variant(config, other.prepared))
-
-
-def _renderer_behind(make: Callable[[Any], Renderer]) -> Callable[[Wrapped], Renderer]:
-    return lambda wrapped: make(wrapped.prepared)
 
 
 def behind_wrappers(env: BatchedEnv) -> BatchedEnv:
@@ -144,10 +139,6 @@ def _has_native(parallel_env: Any) -> bool:  # noqa: ANN401 - PettingZoo comes w
 def _natives(env: ParallelEnvBatch) -> list[tuple[BatchedEnv, Observations]]:
     """Return, per copy, the batch of one copy behind its ParallelEnv and that batch's last observations."""
     return [one.unwrapped.native for one in env.parallel_envs]
-
-
-def _any_changes_actions(wrappers: Sequence[ListedWrapper]) -> bool:
-    return any(wrapper.entry.changes_actions for wrapper in wrappers)
 
 
 def _prepare(
@@ -222,17 +213,14 @@ def _adapter_options(
     env.close()
     lost = "; it has no snapshots: episodes start anew on resume" if spec.snapshots else ""
     line = f"{unbatched} has no batched form: {name} is played as a ParallelEnv, one copy after another{lost}"
-    return _options_of(spec), (line,)
-
-
-def _options_of(spec: EnvSpec) -> AdapterOptions:
-    return AdapterOptions(
+    options = AdapterOptions(
         shared_reward=spec.shared_reward,
         groups=spec.groups,
         agents_come_and_go=spec.agents_come_and_go,
         metrics=spec.metrics,
         max_copies_per_process=spec.max_copies_per_process,
     )
+    return options, (line,)
 
 
 def _rule_behind(name: str, own: RuleEntry) -> RuleEntry:

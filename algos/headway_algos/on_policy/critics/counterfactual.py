@@ -1,7 +1,6 @@
 """COMA's critic, which compares an agent's actions (Foerster et al. 2018, arXiv:1705.08926)."""
 
 from collections.abc import Sequence
-from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -9,20 +8,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import Discrete, EnvSpec, Trajectory, generator
+from headway.contracts import Discrete, EnvSpec, Trajectory
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.batches.hidden_states import HiddenStates
-from headway_algos.batches.layout import Layout
 from headway_algos.grouping import Grouping
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
 from headway_algos.on_policy.critics.config import CounterfactualConfig
 from headway_algos.on_policy.critics.critic_inputs import CounterfactualInputs
 from headway_algos.on_policy.critics.estimate import CriticEstimate
-from headway_algos.on_policy.critics.return_regression import ReturnNetworks, ReturnRegression
+from headway_algos.on_policy.critics.return_regression import RegressionCritic, ReturnNetworks
 from headway_algos.on_policy.critics.reward_streams import lambda_advantages
 
 
-class CounterfactualCritic:
+class CounterfactualCritic(RegressionCritic):
     """Q(s, u^-a, o^a, id_a) with one output for each action of agent a, and a target network Q'.
 
     Advantages are `counterfactual_advantages`. Returns are TD(lambda) targets over the target network's Q' of
@@ -39,7 +37,8 @@ class CounterfactualCritic:
     `target_every`-th fit from there on.
     """
 
-    exchangeable_agents = False
+    Inputs = CounterfactualInputs
+    config: CounterfactualConfig
 
     def __init__(
         self,
@@ -56,52 +55,37 @@ class CounterfactualCritic:
                 f"a counterfactual critic needs Discrete actions, which {spec.name} does not have; "
                 "use critic: local or central"
             )
-        self.config, self.spec, self.seeds = config, spec, tuple(seeds)
-        self.critic_inputs = CounterfactualInputs(config, spec, grouping)
-        self.layout = Layout(self.critic_inputs.grouping, len(seeds), device, dtype)
-        self.networks = ReturnNetworks(config, self.critic_inputs, spec.action_space.n, seeds, self.layout)
-        self.target = deepcopy(self.networks).requires_grad_(False)
-        self.regression = ReturnRegression(config, self.critic_inputs, seeds, self.networks, self.layout)
+        options = spec.action_space.n
+        super().__init__(config, spec, grouping, seeds, device, dtype, options)
+        # Not a copy: the parameters are views of one tensor now, whose products may round differently.
+        self.target = ReturnNetworks(config, self.critic_inputs, options, seeds, self.layout)
+        self.target.requires_grad_(False)
         self.fits = 0
 
-    def action_values(
-        self, networks: ReturnNetworks, batch: CriticBatch, hidden_states: HiddenStates | None = None
-    ) -> NDArray[np.float64]:
-        """Return Q (M, C, N, A) of each own action, in units of return, with the batch's other actions.
-
-        `hidden_states`: those of these networks, if they are recurrent.
-        """
-        return self._by_agent(networks, networks.inputs(*self._rows(batch)), batch, hidden_states)
-
-    def _rows(self, batch: CriticBatch) -> tuple[Tensor, Tensor]:
-        """Return features before normalisation (P, B, feature_size) and indicators (P, B, indicator_size)."""
-        inputs = self.critic_inputs
-        return self.layout.rows(inputs.features(batch)), self.layout.rows(inputs.indicators(batch))
-
-    def _by_agent(
+    def _action_values(
         self, networks: ReturnNetworks, inputs: Tensor, batch: CriticBatch, hidden_states: HiddenStates | None
     ) -> NDArray[np.float64]:
-        """Return Q (M, C, N, A), given a batch's network inputs (P, B, input_size)."""
-        hidden = None if hidden_states is None else self.layout.rows(batch.select_hidden(hidden_states))
-        action_values = networks.predict(inputs, hidden).transpose(1, 2)
-        return self.layout.by_agent(action_values, len(batch.observations))
+        """Return Q (M, C, N, A) of each own action, in units of return, with the batch's other actions."""
+        outputs = self.predict(networks, inputs, batch, hidden_states)
+        return self.layout.by_agent(outputs.transpose(1, 2), len(batch.observations))
 
     def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
         """Estimate counterfactual advantages and TD(lambda) targets (see the class)."""
-        random = [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
+        random = self.bootstrap_generators(iteration)
         batch = CriticBatch.of_steps(trajectory)
         assert batch.actions is not None
         taken, probabilities = batch.actions[..., None], behaviour.probabilities(batch)
-        rows = self._rows(batch)
+        rows = self.rows(batch)
 
         def value_of(batch: CriticBatch) -> NDArray[np.float64]:
             drawn = behaviour.with_drawn_actions(batch, random)
-            action_values = self.action_values(self.target, drawn, target_hidden_states)
+            inputs = self.target.inputs(*self.rows(drawn))
+            action_values = self._action_values(self.target, inputs, drawn, target_hidden_states)
             return np.asarray((behaviour.probabilities(batch) * action_values).sum(axis=-1))
 
         target_inputs = self.target.inputs(*rows)
         target_hidden_states = self.target.replay(target_inputs, trajectory, self.critic_inputs, self.layout)
-        of_each = self._by_agent(self.target, target_inputs, batch, target_hidden_states)
+        of_each = self._action_values(self.target, target_inputs, batch, target_hidden_states)
         target_values = np.take_along_axis(of_each, taken, axis=-1)[..., 0]
         target_advantages, present = lambda_advantages(
             trajectory, self.critic_inputs, target_values, (probabilities * of_each).sum(axis=-1), value_of,
@@ -109,7 +93,7 @@ class CounterfactualCritic:
         )  # fmt: skip
         inputs = self.networks.inputs(*rows)
         hidden_states = self.networks.replay(inputs, trajectory, self.critic_inputs, self.layout)
-        action_values = self._by_agent(self.networks, inputs, batch, hidden_states)
+        action_values = self._action_values(self.networks, inputs, batch, hidden_states)
         return CriticEstimate(
             counterfactual_advantages(action_values, batch.actions, probabilities, present),
             np.take_along_axis(action_values, taken, axis=-1)[..., 0],
@@ -123,7 +107,7 @@ class CounterfactualCritic:
 
     def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """Train the critic on the TD(lambda) targets, and copy it to the target network if due."""
-        metrics = self.regression.fit(estimate, iteration)
+        metrics = super().fit(estimate, iteration)
         self.target.carry(estimate.target_hidden_states)
         if self.fits % self.config.target_every == 0:
             self.target.load_state_dict(self.networks.state_dict())
@@ -131,24 +115,16 @@ class CounterfactualCritic:
         self.fits += 1
         return metrics
 
-    def update_normalisers(self, trajectory: Trajectory) -> None:
-        """Include an iteration's inputs in the running statistics."""
-        self.regression.update_normalisers(trajectory)
-
-    def anneal(self, share: float) -> None:
-        """Set the learning rate to `share` of its configured value."""
-        self.regression.anneal(share)
-
     def state_dict(self) -> dict[str, Any]:
         """Return the states of networks, normalisers, optimiser, target network, and the number of fits."""
-        state = {**self.regression.state_dict(), "target": self.target.state_dict(), "fits": self.fits}
+        state = {**super().state_dict(), "target": self.target.state_dict(), "fits": self.fits}
         if self.config.model.core != "none":
             state["target_memory"] = self.target.carried_state()
         return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
-        self.regression.load_state_dict(state)
+        super().load_state_dict(state)
         self.target.load_state_dict(state["target"])
         self.target.load_carried(state.get("target_memory"))
         self.fits = state["fits"]

@@ -29,20 +29,14 @@ class CriticInputs(Protocol):
     feature_size: int
     indicator_size: int
 
+    def __init__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> None: ...
+
     def features(self, batch: CriticBatch) -> NDArray[np.float32]:
         """Return the inputs to be normalised, (M, C, W, feature_size)."""
         ...
 
     def indicators(self, batch: CriticBatch) -> NDArray[np.float32] | None:
         """Return the inputs left unnormalised, (M, C, W, indicator_size): actions, agent index; or None."""
-        ...
-
-
-class MakeInputs(Protocol):
-    """Constructor of a critic's inputs."""
-
-    def __call__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> CriticInputs:
-        """Return the inputs for an environment's agents."""
         ...
 
 
@@ -63,7 +57,27 @@ class LocalInputs:
         """Return None: there are no indicators."""
 
 
-class CentralInputs:
+class _StateInputs:
+    """The global state, or all observations concatenated if the environment has no state."""
+
+    viewpoints: int
+
+    def __init__(self, config: AlgoConfig, spec: EnvSpec) -> None:
+        self.space, self.has_state = spec.action_space, spec.state_size > 0
+        # Joint inputs do not need the columns of the agents' indices.
+        self.joint_size = spec.observation_size - int(agent_ids(config, spec).shape[1])
+        self.joint_state_size = spec.state_size or spec.num_agents * self.joint_size
+
+    def state(self, batch: CriticBatch) -> NDArray[np.float32]:
+        """Return the state (M, C, W, joint_state_size) for every viewpoint, as a view."""
+        state = batch.states
+        if not self.has_state:
+            joint = zero_where_absent(batch.observations[..., : self.joint_size], batch.in_joint)
+            state = joint.reshape(*joint.shape[:2], -1)
+        return np.broadcast_to(state[:, :, None], (*state.shape[:2], self.viewpoints, state.shape[2]))
+
+
+class CentralInputs(_StateInputs):
     """V(s): the global state, or all observations concatenated if the environment has no state.
 
     With a shared team reward there is one critic per replica, with one viewpoint. Otherwise there is one
@@ -74,22 +88,19 @@ class CentralInputs:
     """
 
     def __init__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> None:
-        self.space, team = spec.action_space, spec.shared_reward
+        super().__init__(config, spec)
+        team = spec.shared_reward
         self.needs_actions = isinstance(config, CentralConfig) and config.critic_actions == "others"
         self.single = team and not self.needs_actions
         self.viewpoints = 1 if self.single else spec.num_agents
         self.grouping = Grouping(np.arange(self.viewpoints)[None]) if team else grouping
-        self.has_state = spec.state_size > 0
         self.own_observation = not team
-        self.joint_size = _joint_size(config, spec)
-        self.feature_size = (spec.state_size or spec.num_agents * self.joint_size) + (
-            spec.observation_size if self.own_observation else 0
-        )
+        self.feature_size = self.joint_state_size + (spec.observation_size if self.own_observation else 0)
         self.indicator_size = spec.num_agents * actor_outputs(spec) if self.needs_actions else 0
 
     def features(self, batch: CriticBatch) -> NDArray[np.float32]:
         """Return the state per viewpoint; with individual rewards, each agent's observation is appended."""
-        state = _per_viewpoint(_state(batch, self.has_state, self.joint_size), self.viewpoints)
+        state = self.state(batch)
         return np.concatenate([state, batch.observations], axis=-1) if self.own_observation else state
 
     def indicators(self, batch: CriticBatch) -> NDArray[np.float32] | None:
@@ -97,7 +108,7 @@ class CentralInputs:
         return others_actions(batch, self.space) if self.needs_actions else None
 
 
-class CounterfactualInputs:
+class CounterfactualInputs(_StateInputs):
     """Q(s, u^-a, o^a, id_a): state, own observation, the others' actions and the agent's index.
 
     Source: Foerster et al. 2018, arXiv:1705.08926, section 4. With a shared team reward there is one critic
@@ -107,44 +118,21 @@ class CounterfactualInputs:
     needs_actions, single = True, False
 
     def __init__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> None:
-        self.space, self.viewpoints = spec.action_space, spec.num_agents
+        super().__init__(config, spec)
+        self.viewpoints = spec.num_agents
         self.grouping = Grouping(np.arange(spec.num_agents)[None]) if spec.shared_reward else grouping
-        self.has_state = spec.state_size > 0
-        self.joint_size = _joint_size(config, spec)
-        self.feature_size = (spec.state_size or spec.num_agents * self.joint_size) + self.joint_size
+        self.feature_size = self.joint_state_size + self.joint_size
         self.indicator_size = spec.num_agents * (actor_outputs(spec) + 1)
 
     def features(self, batch: CriticBatch) -> NDArray[np.float32]:
         """Return state and own observation for every agent."""
-        state = _per_viewpoint(_state(batch, self.has_state, self.joint_size), self.viewpoints)
-        return np.concatenate([state, batch.observations[..., : self.joint_size]], axis=-1)
+        return np.concatenate([self.state(batch), batch.observations[..., : self.joint_size]], axis=-1)
 
     def indicators(self, batch: CriticBatch) -> NDArray[np.float32]:
         """Return the other agents' actions and the agent's index, both one-hot."""
         agents = np.eye(self.viewpoints, dtype=np.float32)
         index = np.broadcast_to(agents, (*batch.present.shape[:2], *agents.shape))
         return np.concatenate([others_actions(batch, self.space), index], axis=-1)
-
-
-def _joint_size(config: AlgoConfig, spec: EnvSpec) -> int:
-    """Return D minus the columns of the agent's index, which joint inputs do not need."""
-    return spec.observation_size - int(agent_ids(config, spec).shape[1])
-
-
-def _state(batch: CriticBatch, has_state: bool, size: int) -> NDArray[np.float32]:
-    """Return states (M, C, S) or, without a state, concatenated observations (M, C, N x size).
-
-    `size`: number of leading components of each observation to use.
-    """
-    if has_state:
-        return batch.states
-    joint = zero_where_absent(batch.observations[..., :size], batch.in_joint)
-    return joint.reshape(*joint.shape[:2], -1)
-
-
-def _per_viewpoint(features: NDArray[np.float32], viewpoints: int) -> NDArray[np.float32]:
-    """Broadcast (M, C, S) to (M, C, W, S), as a view."""
-    return np.broadcast_to(features[:, :, None], (*features.shape[:2], viewpoints, features.shape[2]))
 
 
 def others_actions(batch: CriticBatch, space: ActionSpace) -> NDArray[np.float32]:

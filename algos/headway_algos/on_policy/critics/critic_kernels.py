@@ -3,15 +3,16 @@
 import numpy as np
 from torch import Tensor
 
+from headway_algos.kernels.minibatch_steps import Targets, descend_returns
 from headway_algos.networks.network import Network
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.fast_path import as_array, compiled_steps, kernel_networks
-from headway_algos.optim.gradient_steps import Steps
+from headway_algos.optim.gradient_steps import Optimiser, Steps
 
 
 def compiled_critic_steps(
     network: Network,
-    optimiser: StackedAdam,
+    optimiser: Optimiser,
     inputs: Tensor,
     taken: Tensor | None,
     targets: Tensor,
@@ -22,14 +23,11 @@ def compiled_critic_steps(
     Arguments are inputs (P, B, D), the index (P, B) of the trained output (None with one output) and targets
     (P, B). The metric is the loss.
     """
-    networks = kernel_networks(network, optimiser)
-    if networks is None:
+    if not isinstance(optimiser, StackedAdam) or (networks := kernel_networks(network, optimiser)) is None:
         return None
-    from headway_algos import kernels
-
     numbers = np.empty(0, np.float32)
     bound = float("inf") if value_clip is None else float(value_clip)
-    data = kernels.Targets(
+    data = Targets(
         as_array(inputs, numbers), as_array(taken, np.empty(0, np.int64)), as_array(targets, numbers), bound
     )
-    return compiled_steps(kernels.descend_returns, networks, optimiser, (data,), 1)
+    return compiled_steps(descend_returns, networks, optimiser, (data,), 1)

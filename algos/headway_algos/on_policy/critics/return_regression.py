@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from headway.contracts import Trajectory, generator
+from headway.contracts import EnvSpec, Trajectory, generator
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import Layout
@@ -17,6 +17,7 @@ from headway_algos.batches.minibatches import Piece, even_slices
 from headway_algos.batches.policy_stack import mean_per_replica
 from headway_algos.batches.schedule import MinibatchSchedule
 from headway_algos.components import component
+from headway_algos.grouping import Grouping
 from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.networks.network import make_network
 from headway_algos.networks.normalisation import RunningStatistics
@@ -28,7 +29,7 @@ from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.reward_streams import presence, stream_begins
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.config import AdamConfig
-from headway_algos.optim.gradient_steps import Steps, autograd_steps
+from headway_algos.optim.gradient_steps import autograd_steps
 from headway_algos.optim.kfac_regression import KFACRegression
 
 RETURN_MEMORY, RETURN_BATCHES, RETURN_SHARE = 1000.0, 5.0, 0.1
@@ -160,12 +161,9 @@ class ReturnRegression:
             config.piece_samples, layout,
         )  # fmt: skip
         add_gradients = partial(self._add_gradients, estimate=estimate, targets=targets)
-        compiled: Steps | None = None
-        if isinstance(self.optimiser, StackedAdam):
-            network, optimiser = self.networks.network, self.optimiser
-            compiled = compiled_critic_steps(
-                network, optimiser, estimate.inputs, estimate.taken, targets, config.value_clip
-            )
+        compiled = compiled_critic_steps(
+            self.networks.network, self.optimiser, estimate.inputs, estimate.taken, targets, config.value_clip
+        )
         take_steps = compiled or autograd_steps(self.optimiser, add_gradients, 1)
         (loss,), _ = take_steps(schedule)
         self.networks.carry(hidden_states)
@@ -219,6 +217,55 @@ class ReturnRegression:
         self.networks.load_state_dict(state["networks"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.networks.load_carried(state.get("memory"))
+
+
+class RegressionCritic(ReturnRegression):
+    """A critic that is trained by regression on its estimated returns; a subclass adds `estimate`."""
+
+    Inputs: ClassVar[type[CriticInputs]]
+    """What the networks observe."""
+    exchangeable_agents = False
+
+    def __init__(
+        self,
+        config: CriticConfig,
+        spec: EnvSpec,
+        grouping: Grouping,
+        seeds: Sequence[int],
+        device: torch.device,
+        dtype: torch.dtype,
+        outputs: int = 1,
+    ) -> None:
+        """`outputs`: number of outputs of a network."""
+        critic_inputs, self.spec = self.Inputs(config, spec, grouping), spec
+        layout = Layout(critic_inputs.grouping, len(seeds), device, dtype)
+        networks = ReturnNetworks(config, critic_inputs, outputs, seeds, layout)
+        super().__init__(config, critic_inputs, seeds, networks, layout)
+
+    def rows(self, batch: CriticBatch) -> tuple[Tensor, Tensor | None]:
+        """Return features before normalisation (P, B, feature_size) and indicators (P, B, indicator_size)."""
+        inputs = self.critic_inputs
+        indicators = inputs.indicators(batch)
+        indicator_rows = None if indicators is None else self.layout.rows(indicators)
+        return self.layout.rows(inputs.features(batch)), indicator_rows
+
+    def predict(
+        self,
+        networks: ReturnNetworks,
+        inputs: Tensor,
+        batch: CriticBatch,
+        hidden_states: HiddenStates | None = None,
+    ) -> Tensor:
+        """Return outputs (P, O, B) in units of return, given a batch's network inputs (P, B, input_size).
+
+        `hidden_states`: those of these networks, if they are recurrent.
+        """
+        hidden = None if hidden_states is None else self.layout.rows(batch.select_hidden(hidden_states))
+        return networks.predict(inputs, hidden)
+
+    def bootstrap_generators(self, iteration: int) -> list[np.random.Generator]:
+        """Return a generator per replica for the actions at bootstrap values, where none were taken."""
+        return [generator(seed, "critic bootstrap actions", iteration) for seed in self.seeds]
 
 
 def squared_error(values: Tensor, targets: Tensor, bound: float | None) -> Tensor:

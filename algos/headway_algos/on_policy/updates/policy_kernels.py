@@ -10,6 +10,13 @@ from torch import Tensor
 
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.schedule import MinibatchSchedule
+from headway_algos.kernels.minibatch_steps import (
+    BoxActions,
+    DiscreteActions,
+    PolicyData,
+    descend_categorical,
+    descend_gaussian,
+)
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import MaskedCategorical
 from headway_algos.on_policy.updates.kl_penalty import OldPolicies
@@ -42,8 +49,6 @@ def compiled_policy_steps(
         clipped, clip, entropy_coeff = False, 0.0, float(loss.entropy_coeff)
     else:
         return None
-    from headway_algos import kernels
-
     numbers, outputs = np.empty(0, np.float32), networks.outputs
     table = numbers.reshape(0, outputs)
     old_outputs, coefficients = None, numbers
@@ -52,20 +57,20 @@ def compiled_policy_steps(
         before = actor.distribution(old_outputs.transpose(1, 2), rows.masks)
         if isinstance(before, MaskedCategorical):
             old_outputs = before.log_probs.exp().transpose(1, 2)
-    data = kernels.PolicyData(
+    data = PolicyData(
         as_array(rows.observations, table), as_array(rows.log_probs, numbers), as_array(advantages, numbers),
         as_array(old_outputs, table), coefficients, clipped, clip, entropy_coeff,
     )  # fmt: skip
     if actor.log_std is None:
         masks = as_array(rows.masks, np.empty((0, outputs), np.bool_))
-        discrete = kernels.DiscreteActions(as_array(rows.actions, np.empty(0, np.int64)), masks)
-        take_steps = compiled_steps(kernels.descend_categorical, networks, optimiser, (data, discrete), 3)
+        discrete = DiscreteActions(as_array(rows.actions, np.empty(0, np.int64)), masks)
+        take_steps = compiled_steps(descend_categorical, networks, optimiser, (data, discrete), 3)
     else:
         (start,) = optimiser.starts([actor.log_std])
         old_log_std = actor.log_std.detach() if old is None or old.log_std is None else old.log_std
         log_std = np.ascontiguousarray(old_log_std[..., 0].numpy())
-        box = kernels.BoxActions(as_array(rows.actions, table), log_std, start)
-        take_steps = compiled_steps(kernels.descend_gaussian, networks, optimiser, (data, box), 3)
+        box = BoxActions(as_array(rows.actions, table), log_std, start)
+        take_steps = compiled_steps(descend_gaussian, networks, optimiser, (data, box), 3)
     return take_steps if type(loss) is PPOLoss else partial(_entropy_alone, take_steps)
 
 

@@ -7,14 +7,12 @@ from headway_envs.bus.kernel.layout import (
     DAY_STATE,
     LINE,
     LINE_STATE,
-    METRICS,
     OBSERVATION_SIZES,
     PATTERN,
     QUEUE,
     SLOT,
     WAIT_BINS,
     Network,
-    Outputs,
     Trace,
     World,
 )
@@ -47,24 +45,6 @@ def state_size(net: Network, observation: str, full: bool) -> int:
     observations."""
     size = DAY_STATE + LINE_STATE * (len(net.line_slots) - 1)
     return size + (len(net.slot_line) * OBSERVATION_SIZES[observation] if full else 0)
-
-
-def allocate_outputs(net: Network, copies: int, observation: str, full: bool) -> Outputs:
-    """Return the arrays that a step fills."""
-    slots, size = len(net.slot_line), OBSERVATION_SIZES[observation]
-    state = state_size(net, observation, full)
-    return Outputs(
-        observations=np.zeros((copies, slots, size), np.float32),
-        states=np.zeros((copies, state), np.float32),
-        alive=np.zeros((copies, slots), np.bool_),
-        masks=np.ones((copies, slots, 3), np.bool_),
-        rewards=np.zeros((copies, slots), np.float32),
-        acting=np.zeros((copies, slots), np.bool_),
-        ended=np.zeros(copies, np.bool_),
-        final_observations=np.zeros((copies, slots, size), np.float32),
-        final_states=np.zeros((copies, state), np.float32),
-        metrics=np.zeros((copies, len(METRICS))),
-    )
 
 
 def allocate_trace(net: Network, copies: int, traced: bool) -> Trace:

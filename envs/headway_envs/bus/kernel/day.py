@@ -93,7 +93,7 @@ def quantile_of_counts(counts: NDArray[np.uint32], share: float) -> float:
 
 @compiled_allocating
 def end_day(net: Network, k: Record, world: World, c: int, metrics: NDArray[np.float64]) -> None:
-    """Fill the episode metrics, in the order of `layout.METRICS`. Passengers still waiting count with their
+    """Fill the episode metrics, in the order of `metrics.METRICS`. Passengers still waiting count with their
     wait so far."""
     day, ticks = world.days[c], max(world.days[c].tick, 1)
     still_waiting = 0

@@ -322,29 +322,3 @@ LINE_STATE = 10
 """Number of state features per line."""
 DAY_STATE = 3
 """Number of state features of the day: progress, and the time of day as sine and cosine."""
-
-METRICS = [
-    "mean_wait_min",
-    "p95_wait_min",
-    "captive_wait_min",
-    "excess_wait_min",
-    "headway_cv",
-    "bunched_share",
-    "denied_boardings",
-    "boardings",
-    "lost_share",
-    "occupancy_mean",
-    "occupancy_p95",
-    "in_vehicle_min",
-    "trip_time_spread_min",
-    "held_min_per_trip",
-    "breakdowns",
-    "service_visits",
-    "fuel_used",
-    "reward_service",
-    "reward_efficiency",
-    "reward_maintenance",
-    "reward_regularity",
-    "team_reward",
-]
-"""Names of the episode metrics; `bus.metrics` describes them."""

@@ -2,20 +2,21 @@
 
 import datetime as dt
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from headway.contracts import HeadwayError, Observations, Rule
+from headway.contracts import HeadwayError, Rule
 from headway_envs.bus.env import BusBatchedEnv
+from headway_envs.bus.kernel.layout import MOVE
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.network import pattern_rows
 from headway_envs.bus.scenario.sunt.records import find_days, read_day
 from headway_envs.bus.scenario.tables import Tables
+from headway_envs.constant_action import ConstantAction
 
 COLUMNS = (
     *("line", "dir", "pattern", "trip", "seq0", "calls", "stop", "visit"),
@@ -54,12 +55,12 @@ def simulated_days(
         raise HeadwayError(f"days must be at least 1, not {days}")
     env = BusBatchedEnv(prepared, 1, traced=True)
     where = _trace_calls(tables, prepared)
-    act = _always_move(len(prepared.agents)) if rule is None else _act_by_rule(rule, env)
+    rule = rule or ConstantAction(prepared, MOVE)
     observed = env.reset(np.array([seed], np.uint64))
     for _ in range(days):
         ended = False
         while not ended:
-            outcome, observed = env.step(act(observed))
+            outcome, observed = env.step(rule.act(env, observed))
             ended = bool(outcome.episode_ended[0])
         trace = env.trace
         day = where.assign(
@@ -125,17 +126,6 @@ def _timetable_date(tables: Tables, day_type: str) -> str:
         raise HeadwayError(
             f"meta.json: the date of a {day_type} must be text, YYYY-MM-DD, not {stated!r}"
         ) from None
-
-
-def _always_move(slots: int) -> Callable[[Observations], NDArray[np.int64]]:
-    """Return a function from observations to actions that always moves."""
-    actions = np.ones((1, slots), np.int64)
-    return lambda _: actions
-
-
-def _act_by_rule(rule: Rule, env: BusBatchedEnv) -> Callable[[Observations], NDArray[np.int64]]:
-    """Return a function from observations to the actions of a rule."""
-    return lambda observed: np.asarray(rule.act(env, observed), np.int64)
 
 
 def _trace_calls(tables: Tables, prepared: Prepared) -> pd.DataFrame:

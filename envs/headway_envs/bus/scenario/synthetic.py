@@ -18,16 +18,13 @@ from headway_envs.bus.scenario.fitted import (
     DEPARTURES,
     HOUR_SHARES,
     LINK_M_LOGNORMAL,
-    LINK_S_LOG,
-    MEAN_SPEED_KMH,
     SOURCE,
-    SPEED_KMH,
     STOPS_GAMMA,
     SUNDAY_FLEET,
     SYNTHETIC,
-    WITHIN_HOUR_SD,
 )
-from headway_envs.bus.scenario.measures import METRES_PER_DEGREE, TIMED_HOURS
+from headway_envs.bus.scenario.link_times import fitted_link_times
+from headway_envs.bus.scenario.measures import METRES_PER_DEGREE
 from headway_envs.bus.scenario.network import build
 from headway_envs.bus.scenario.passengers import alighting_shares, spread_by_tenth
 from headway_envs.bus.scenario.tables import NO_LINK, Tables
@@ -156,7 +153,7 @@ def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) ->
                 }
             )
         )
-        tables["link_times"].append(_link_times(rng, links[1:], legs))
+        tables["link_times"].append(fitted_link_times(rng, links[1:], legs))
     return {name: pd.concat(frames, ignore_index=True) for name, frames in tables.items()}
 
 
@@ -170,28 +167,6 @@ def _place_stops(stops: NDArray[np.int64], along: Floats, heading: float, aside:
     lat = -12.97 + north / METRES_PER_DEGREE
     lon = -38.50 + east / (METRES_PER_DEGREE * math.cos(math.radians(12.97)))
     return pd.DataFrame({"stop": stops, "lat": lat, "lon": lon})
-
-
-def _link_times(rng: np.random.Generator, links: NDArray[np.int64], legs: NDArray[Any]) -> pd.DataFrame:
-    """Return the table link_times of links of the given lengths, m."""
-    intercept, slope, sd = LINK_S_LOG
-    base = np.exp(intercept + slope * np.log(legs) + rng.normal(0.0, sd, len(legs)))
-    frames = []
-    for day, (hours, speeds) in SPEED_KMH.items():
-        every = TIMED_HOURS
-        factor = MEAN_SPEED_KMH / np.interp(every, hours, speeds)
-        frames.append(
-            pd.DataFrame(
-                {
-                    "link": np.repeat(links, len(every)),
-                    "hour": np.tile(every, len(links)),
-                    "log_sigma": WITHIN_HOUR_SD,
-                    "mean_s": np.maximum(np.outer(base, factor), 8.0).ravel(),
-                    "daytype": day,
-                }
-            )
-        )
-    return pd.concat(frames, ignore_index=True)
 
 
 def _stop_shares(rng: np.random.Generator, calls: pd.DataFrame) -> dict[int, tuple[Floats, Floats]]:

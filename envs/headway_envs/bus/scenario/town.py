@@ -17,16 +17,13 @@ from headway_envs.bus.scenario.fitted import (
     BOARDINGS_PER_TRIP,
     DEPARTURES,
     LINE_BOARDINGS_PER_TRIP,
-    LINK_S_LOG,
-    MEAN_SPEED_KMH,
     ONE_WAY_SHARE,
     SOURCE,
-    SPEED_KMH,
     SUNDAY_FLEET,
     SUNDAY_LINES,
     SYNTHETIC,
-    WITHIN_HOUR_SD,
 )
+from headway_envs.bus.scenario.link_times import fitted_link_times
 from headway_envs.bus.scenario.measures import METRES_PER_DEGREE, TIMED_HOURS
 from headway_envs.bus.scenario.passengers import synthetic_passengers
 from headway_envs.bus.scenario.streets import LineLayout, lay_out_lines
@@ -52,7 +49,6 @@ _STOPS = {"district": (8, 76), "city": (5, 90)}
 """Smallest and largest number of stops of a pattern: of SUNT's 40 busiest lines, and of all its lines."""
 _LAT, _LON = -12.97, -38.50
 """Position of Salvador, degrees."""
-_MIN_LINK_S = 8.0
 _ALLOWANCE = 1.05
 """Assumption: planned link times over mean ones, for the dwell at busy stops that link times do not
 include."""
@@ -167,30 +163,8 @@ def _geometry(rng: np.random.Generator, layout: LineLayout) -> dict[str, pd.Data
         "links": pd.DataFrame(
             {"link": np.arange(len(ends)), "from_stop": ends[:, 0], "to_stop": ends[:, 1], "leg_m": metres}
         ),
-        "link_times": _link_times(rng, metres),
+        "link_times": fitted_link_times(rng, np.arange(len(metres)), metres),
     }
-
-
-def _link_times(rng: np.random.Generator, metres: Floats) -> pd.DataFrame:
-    """Return the table link_times of links of the given lengths, m."""
-    intercept, slope, sd = LINK_S_LOG
-    base = np.exp(intercept + slope * np.log(metres) + rng.normal(0.0, sd, len(metres)))
-    hours = TIMED_HOURS
-    frames = []
-    for day, (knots, speeds) in SPEED_KMH.items():
-        seconds = np.outer(base, MEAN_SPEED_KMH / np.interp(hours, knots, speeds))
-        frames.append(
-            pd.DataFrame(
-                {
-                    "link": np.repeat(np.arange(len(metres)), len(hours)),
-                    "hour": np.tile(hours, len(metres)),
-                    "log_sigma": WITHIN_HOUR_SD,
-                    "mean_s": np.maximum(seconds, _MIN_LINK_S).ravel(),
-                    "daytype": day,
-                }
-            )
-        )
-    return pd.concat(frames, ignore_index=True)
 
 
 def _link_seconds(tables: dict[str, pd.DataFrame]) -> dict[str, Floats]:

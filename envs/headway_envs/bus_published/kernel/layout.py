@@ -147,17 +147,3 @@ class Outputs(NamedTuple):
 
 
 OBSERVATION_SIZE = 8
-
-METRICS = [
-    "team_reward",
-    "steps",
-    "moves",
-    "waits",
-    "service_visits",
-    "services_refused",
-    "occupancy_cost",
-    "uptime",
-    "regularity",
-    "efficiency",
-]
-"""Names of the episode metrics; `bus_published.metrics` describes them."""

@@ -49,7 +49,7 @@ def move_reward(k: Record, occupancy: float, uptime: float, regularity: float, e
 
 @compiled
 def fill_metrics(day: Record, metrics: NDArray[np.float64]) -> None:
-    """Fill the episode metrics, in the order of `layout.METRICS`."""
+    """Fill the episode metrics, in the order of `metrics.METRICS`."""
     moves = max(day.moves, 1)
     metrics[0] = day.reward
     metrics[1] = day.step

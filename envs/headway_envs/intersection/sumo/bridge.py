@@ -100,7 +100,8 @@ class SumoBridge:
         self.simulation.close()
 
     def hand_over(self, speed_mode: int) -> None:
-        """Let SUMO drive all vehicles as humans from now on, with the given speed mode."""
+        """Let SUMO drive all vehicles as humans with the given speed mode, ignoring actions, until the
+        episode ends."""
         if self._handed_over == speed_mode:
             return
         self._handed_over = speed_mode

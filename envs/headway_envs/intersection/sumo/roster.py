@@ -20,9 +20,6 @@ class Roster:
         """Step of entry, by row."""
         self.lane: Whole = np.zeros(MAX_VEHICLES, np.int64)
         """Last known lane of an AV, for counting lane changes; -1: unknown. By row."""
-        self.serial: Whole = np.full(slots, -1, np.int64)
-        """(N,) serial number of the slot's current or last AV, counted over all AVs with a slot."""
-        self._served = 0
         self.holder: list[str | None] = [None] * slots
         self.automated: list[tuple[int, int, str]] = []
         """(row, slot, id) of each AV with a slot."""
@@ -35,8 +32,6 @@ class Roster:
         """Remove all vehicles."""
         self.ids, self.row = [], {}
         self.holder = [None] * len(self.holder)
-        self.serial.fill(-1)
-        self._served = 0
         self._list_automated()
 
     def free_slot(self, kept: Iterable[int] = ()) -> int:
@@ -61,8 +56,7 @@ class Roster:
         traffic.around[row] = -1
         self.entered[row], self.lane[row] = step, -1
         if slot >= 0:
-            self.holder[slot], self.serial[slot] = vehicle, self._served
-            self._served += 1
+            self.holder[slot] = vehicle
             self._list_automated()
 
     def remove(self, vehicle: str) -> None:

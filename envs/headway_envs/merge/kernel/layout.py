@@ -205,18 +205,3 @@ OBSERVED_VEHICLES = 4
 OBSERVATION_SIZE = 5 * (1 + OBSERVED_VEHICLES)
 CAR_STATE = 7
 """Number of state features per vehicle; the state ends with one feature for the time."""
-
-METRICS = [
-    "reward",
-    "crash_rate",
-    "merge_rate",
-    "ramp_merge_rate",
-    "hdv_merge_rate",
-    "mean_speed_ms",
-    "min_speed_ms",
-    "min_gap_m",
-    "min_headway_s",
-    "steps",
-    "interventions",
-]
-"""Names of the episode metrics; `merge.metrics` describes them."""

@@ -82,7 +82,7 @@ def _share(count: int, total: int) -> float:
 
 @compiled
 def fill_metrics(world: World, c: int, metrics: NDArray[np.float64]) -> None:
-    """Fill the episode metrics, in the order of `layout.METRICS`."""
+    """Fill the episode metrics, in the order of `metrics.METRICS`."""
     episode, cars = world.episodes[c], world.cars[c]
     merged, ramp, ramp_merged, humans_merged = 0, 0, 0, 0
     for i in range(episode.cars):

@@ -5,12 +5,7 @@ from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.data.choices import date_of, names_of, require_seed
-from headway_launch.commands.data.writing import (
-    add_output_arguments,
-    check_output,
-    print_written,
-    write_scenario,
-)
+from headway_launch.commands.data.writing import add_output_arguments, check_output, write_scenario
 
 EXAMPLES = """\
 examples:
@@ -68,5 +63,4 @@ def execute(arguments: argparse.Namespace) -> int:
     )
     tables = import_gtfs(Path(arguments.feed), options)
     write_scenario(tables, out)
-    print_written(tables, out)
     return 0

@@ -4,12 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway_launch.commands.data.choices import date_of, names_of, require_seed
-from headway_launch.commands.data.writing import (
-    add_output_arguments,
-    check_output,
-    print_written,
-    write_scenario,
-)
+from headway_launch.commands.data.writing import add_output_arguments, check_output, write_scenario
 
 EXAMPLES = """\
 examples:
@@ -51,5 +46,4 @@ def execute(arguments: argparse.Namespace) -> int:
     options = SuntOptions(weekday, sunday, names_of(arguments.lines), arguments.seed)
     tables = import_sunt(Path(arguments.raw), options)
     write_scenario(tables, out)
-    print_written(tables, out)
     return 0

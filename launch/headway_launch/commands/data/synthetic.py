@@ -3,12 +3,7 @@
 import argparse
 
 from headway_launch.commands.data.choices import require_seed
-from headway_launch.commands.data.writing import (
-    add_output_arguments,
-    check_output,
-    print_written,
-    write_scenario,
-)
+from headway_launch.commands.data.writing import add_output_arguments, check_output, write_scenario
 from headway_launch.console.progress_display import CountedProgress
 
 EXAMPLES = """\
@@ -46,5 +41,4 @@ def execute(arguments: argparse.Namespace) -> int:
     with CountedProgress("lines with a timetable", line_count(arguments.size)) as progress:
         tables = generate(arguments.size, arguments.seed, progress.add)
     write_scenario(tables, out)
-    print_written(tables, out)
     return 0

@@ -64,31 +64,35 @@ def _refuse_others(out: Path) -> None:
 
 
 def write_scenario(tables: "Tables", out: Path) -> None:
-    """Check and write a scenario; an old one in its place is removed once the new one is complete."""
+    """Check and write a scenario, and print a summary.
+
+    An old scenario in its place is removed once the new one is complete.
+    """
     from headway_envs.bus.scenario.tables import check_tables, write_tables
 
     check_tables(tables)
-    out = out.resolve()
+    folder = out.resolve()
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(
-            prefix=f".{out.name}.", dir=out.parent, ignore_cleanup_errors=True
+            prefix=f".{folder.name}.", dir=folder.parent, ignore_cleanup_errors=True
         ) as beside:
             new, old = Path(beside) / "new", Path(beside) / "old"
             write_tables(tables, new)
-            _refuse_others(out)
+            _refuse_others(folder)
             try:
-                if out.is_dir():
-                    out.rename(old)
-                new.rename(out)
+                if folder.is_dir():
+                    folder.rename(old)
+                new.rename(folder)
             finally:
-                if old.is_dir() and not out.exists():
-                    old.rename(out)
+                if old.is_dir() and not folder.exists():
+                    old.rename(folder)
     except OSError as error:
-        raise write_error("OUT", out, error) from error
+        raise write_error("OUT", folder, error) from error
+    _print_written(tables, out)
 
 
-def print_written(tables: "Tables", out: Path) -> None:
+def _print_written(tables: "Tables", out: Path) -> None:
     """Print a summary of the scenario and the next commands."""
     from headway_envs.bus.scenario.description import by_day_type
     from headway_envs.bus.scenario.tables import DAY_TYPES

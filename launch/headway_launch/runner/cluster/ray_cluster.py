@@ -9,8 +9,7 @@ from headway.contracts.errors import HeadwayError
 from headway.rollout.workers.ray_cluster import connect, disconnect
 from headway_launch.runner.cores import CoreShares, share_cores
 from headway_launch.runner.jobs import PlannedJob
-from headway_launch.runner.scheduler import Training
-from headway_launch.runner.training_process import TrainingProcess
+from headway_launch.runner.training_process import Training, TrainingProcess
 
 if TYPE_CHECKING:
     from headway.training.loop import TrainingJob
@@ -79,10 +78,10 @@ class SessionCluster:
         backend = job.config.backend
         if not self.learners or backend.name != "ray":
             return TrainingProcess(job)
-        from headway_launch.runner.cluster.ray_training import Placement, RayTraining
+        from headway_launch.runner.cluster.ray_training import RayTraining
 
         on_node = replace(job, config=replace(job.config, backend=replace(backend, name="process")))
-        return RayTraining(on_node, Placement.of(on_node, self.node_cpus, self.gpus))
+        return RayTraining(on_node, self.node_cpus, self.gpus)
 
     def close(self) -> None:
         """Disconnect, which ends a cluster that this session started."""

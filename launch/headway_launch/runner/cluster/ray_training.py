@@ -1,4 +1,4 @@
-"""A training process on a node of a Ray cluster, with the interface of `TrainingProcess`.
+"""A training process on a node of a Ray cluster.
 
 Its rollout workers are processes of the same node. It writes its run folders itself, so the store must be on
 a file system that all nodes share.
@@ -8,9 +8,8 @@ import pickle
 import queue
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from multiprocessing import Pipe
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 import ray
@@ -30,7 +29,7 @@ from headway.training.loop import TrainingJob
 from headway_launch.console.output import print_line
 from headway_launch.console.threads import ONE_THREAD
 from headway_launch.runner.cores import cores_taken, gpus_of
-from headway_launch.runner.training_process import train_and_report
+from headway_launch.runner.training_process import Training, train_and_report
 
 _WAIT_S = 1.0
 
@@ -86,75 +85,37 @@ class TrainingHost:
         self.stop.set()
 
 
-@dataclass(frozen=True)
-class Placement:
-    """Resources that a training process requests from the cluster."""
+def cpus_for(job: TrainingJob, node_cpus: int | None) -> float:
+    """Return the CPUs that a training process requests from the cluster, as `cores_taken` counts them.
 
-    cpus: float
-    gpus: float = 0.0
-
-    @classmethod
-    def of(cls, job: TrainingJob, node_cpus: int | None, cluster_gpus: float) -> "Placement":
-        """Return the request for a job: CPUs as `cores_taken` counts them, and a GPU if it trains on one.
-
-        `node_cpus`: CPUs of the largest node, an upper limit; None: request none, because the cluster is this
-        machine and the session divides its cores. `cluster_gpus`: GPUs of the cluster.
-        """
-        taken, block = 0, job.config.rollout.block
-        if node_cpus is not None:
-            taken = cores_taken(job.spec, len(job.seeds), block, job.workers, node_cpus)
-        return cls(float(taken), gpus_of(job.config.device, cluster_gpus))
+    `node_cpus`: CPUs of the largest node, an upper limit; None: request none, because the cluster is this
+    machine and the session divides its cores.
+    """
+    return 0.0 if node_cpus is None else float(cores_taken(job, job.workers, node_cpus))
 
 
-class RayTraining:
-    """The session's handle of a `TrainingHost`; implements `headway_launch.runner.scheduler.Training`."""
+class RayTraining(Training):
+    """The session's handle of a `TrainingHost`."""
 
-    def __init__(self, job: TrainingJob, resources: Placement) -> None:
-        """Start training on the first node that has the resources."""
+    def __init__(self, job: TrainingJob, node_cpus: int | None, cluster_gpus: float) -> None:
+        """Start training on the first node that has the resources: see `cpus_for` and `gpus_of`."""
+        self._cpus = cpus_for(job, node_cpus)
         host = ray.remote(TrainingHost).options(
-            num_cpus=resources.cpus,
-            num_gpus=resources.gpus,
+            num_cpus=self._cpus,
+            num_gpus=gpus_of(job.config.device, cluster_gpus),
             runtime_env={"env_vars": ONE_THREAD},
             scheduling_strategy="SPREAD",
             max_restarts=0,
             max_task_retries=0,
             max_concurrency=4,  # `train` takes one, the other calls the rest
         )
-        self._resources, self._host = resources, host.remote()
-        self._events, self._sender = Pipe(duplex=False)
-        self._at_end = False
+        self._host = host.remote()
+        events, self._sender = Pipe(duplex=False)
+        super().__init__(events)
         self._end_reason = ""
         self._stop = threading.Event()
-        self.lost = False
         self._relay = threading.Thread(target=self._forward_events, args=(pickled_whole(job),), daemon=True)
         self._relay.start()
-
-    @property
-    def connection(self) -> Connection:
-        """Pipe that is ready when an event has arrived or the process has ended."""
-        return self._events
-
-    @property
-    def sentinel(self) -> Connection:
-        """Pipe that is ready when the process has ended: the same as `connection`."""
-        return self._events
-
-    def has_event(self) -> bool:
-        """Return whether `receive` would return without waiting."""
-        return not self._at_end and self._events.poll()
-
-    def has_ended(self) -> bool:
-        """Return whether no further event will arrive."""
-        return self._at_end
-
-    def receive(self) -> Event | None:
-        """Return the next event; None once there are no more."""
-        try:
-            event: Event = self._events.recv()
-        except (EOFError, OSError):
-            self._at_end = True
-            return None
-        return event
 
     def ask_to_stop(self) -> None:
         """Request a checkpoint and an orderly end; without a node yet it ends at once."""
@@ -162,7 +123,6 @@ class RayTraining:
         self._host.ask_to_stop.remote()
 
     def kill(self) -> None:
-        """Kill the process and its workers."""
         # In a thread: the call does not return while the cluster's head is gone.
         killing = threading.Thread(
             target=ray.kill, args=(self._host,), kwargs={"no_restart": True}, daemon=True
@@ -171,7 +131,6 @@ class RayTraining:
         killing.join(_WAIT_S)
 
     def join(self) -> str:
-        """Wait for the process to end; return how it ended, as a message in case it sent no final event."""
         self._relay.join()
         self.kill()
         self._events.close()
@@ -200,13 +159,13 @@ class RayTraining:
 
     def _has_node(self, arriving: "ray.ObjectRef[Place]") -> bool:
         """Wait until the host runs on a node; return False if a stop is requested before."""
-        noticed = not self._resources.cpus
+        noticed = not self._cpus
         began = time.monotonic()
         while not ray.wait([arriving], timeout=_WAIT_S)[0]:
             if self._stop.is_set():
                 return False
             if not noticed and time.monotonic() - began > PATIENCE_S:
-                line = f"waiting for a node of the cluster with {self._resources.cpus:g} free CPUs"
+                line = f"waiting for a node of the cluster with {self._cpus:g} free CPUs"
                 self._sender.send(Notice(line))
                 noticed = True
         return True

@@ -11,19 +11,11 @@ from typing import Any
 
 from headway.contracts import Trajectory
 from headway.contracts.acting_policy import Parameters
+from headway.contracts.trajectory import arrays_in, block_nbytes
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.workers.shared_memory import SharedBlock, SharedPickle
-from headway.rollout.workers.worker import (
-    Command,
-    CommandFailed,
-    Done,
-    Setup,
-    WorkerSetup,
-    parameter_arrays,
-    parameter_bytes,
-    run_worker,
-)
+from headway.rollout.workers.worker import Command, CommandFailed, Done, Setup, WorkerSetup, run_worker
 from headway.rollout.workers.worker_pool import Notify, WorkerConnection
 
 GRACE_S = 5.0
@@ -79,10 +71,10 @@ class SharedMemoryTransport(ProcessLauncher):
         pickled, shapes = SharedPickle.of(plan), plan.policy.parameter_shapes(plan.replicas)
         self.blocks = (
             SharedBlock.create(plan.layout.nbytes),
-            SharedBlock.create(parameter_bytes(shapes), "parameters"),
+            SharedBlock.create(block_nbytes(shapes), "parameters"),
         )
         self.trajectory = Trajectory.from_buffer(self.blocks[0].buffer, plan.layout)
-        self.parameters = parameter_arrays(shapes, self.blocks[1].buffer)
+        self.parameters = arrays_in(self.blocks[1].buffer, shapes)
         setups = [WorkerSetup(pickled, shard, *self.blocks) for shard in shards]
         policy = type(plan.policy).__module__
         super().__init__(setups, [*plan.preload, *([policy] if policy != "__main__" else [])], pickled)

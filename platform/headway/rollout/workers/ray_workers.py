@@ -23,7 +23,6 @@ from headway.contracts import HeadwayError, Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway.events import Usage
 from headway.rollout.plan import RolloutPlan, Shard
-from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.sampler import shard_views
 from headway.rollout.workers.ray_cluster import connect, disconnect
 from headway.rollout.workers.worker import (
@@ -47,13 +46,6 @@ _EXIT_CODE = re.compile(r"exits with an exit code (\d+)")
 _REASON_LENGTH = 200
 
 Experience = Mapping[str, NDArray[Any]]
-
-
-def ray_collector(
-    backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
-) -> PoolCollector:
-    """Return a collector with one Ray worker per shard. Raises HeadwayError if the cluster cannot be used."""
-    return PoolCollector(plan, RaySamplingTransport(backend, plan, shards, notify), len(shards), notify)
 
 
 def pickled_whole(plan: object) -> bytes:
@@ -97,17 +89,17 @@ class Place:
         boot_id = Path("/proc/sys/kernel/random/boot_id")
         host = socket.gethostname()
         machine = boot_id.read_text().strip() if boot_id.exists() else host
-        return cls(machine, host, os.getpid(), dict(_versions()))
+        return cls(machine, host, os.getpid(), _versions())
 
 
-def _versions() -> list[tuple[str, str]]:
+def _versions() -> Mapping[str, str]:
     installed = dict.fromkeys(_VERSIONED_PACKAGES, "")
     for name in installed:
         try:
             installed[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    return list(installed.items())
+    return installed
 
 
 class RayRolloutWorker:
@@ -196,17 +188,13 @@ class RayLauncher:
 
     def notify_waiting(self, shard: int) -> None:
         """Notify the user that a worker waits for free CPUs."""
-        total, free = cpus_of(ray.cluster_resources()), cpus_of(ray.available_resources())
+        resources = ray.cluster_resources(), ray.available_resources()
+        total, free = (each.get("CPU", 0.0) for each in resources)
         self.notify(
             f"worker {shard} waits for free CPUs: it needs {self.cpus:g}, and {free:g} of the cluster's "
             f"{total:g} are free; it starts as soon as there are enough; a lower backend.workers or "
             "backend.worker_cpus needs fewer"
         )
-
-
-def cpus_of(resources: Mapping[str, float]) -> float:
-    """Return the number of CPUs among a cluster's resources."""
-    return resources.get("CPU", 0.0)
 
 
 class RaySamplingTransport(RayLauncher):
@@ -339,8 +327,3 @@ def place_experience(part: Mapping[str, NDArray[Any]], experience: Experience) -
             array[ended.any(axis=-1)] = experience[name]
         else:
             array[...] = experience[name].reshape(array.shape)
-
-
-def nbytes_of(experience: Experience) -> int:
-    """Return the number of bytes sent."""
-    return sum(np.asarray(array).nbytes for array in experience.values())

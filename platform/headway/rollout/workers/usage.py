@@ -22,12 +22,7 @@ class OwnUsage:
         now = time.monotonic()
         if now - self._read_at >= _MEMORY_EVERY_S:
             self._memory_bytes, self._read_at = proportional_memory(), now
-        return Usage(cpu_seconds(), self._memory_bytes)
-
-
-def cpu_seconds() -> float:
-    """Return the CPU seconds of all threads of this process since it started."""
-    return time.process_time()
+        return Usage(time.process_time(), self._memory_bytes)
 
 
 def cpu_seconds_of(process_id: int) -> float:

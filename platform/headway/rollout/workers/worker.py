@@ -7,19 +7,14 @@ import os
 import signal
 import threading
 import traceback
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import prod
 from multiprocessing import connection, parent_process, reduction
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from headway.contracts import Contribution, HeadwayError, Trajectory
 from headway.contracts.acting_policy import Parameters
-from headway.contracts.trajectory import aligned
+from headway.contracts.trajectory import arrays_in
 from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
 from headway.rollout.plan import RolloutPlan, Shard
@@ -45,7 +40,7 @@ class WorkerSetup:
             plan,
             self.shard,
             Trajectory.from_buffer(self.trajectory.buffer, plan.layout),
-            parameter_arrays(shapes, self.parameters.buffer),
+            arrays_in(self.parameters.buffer, shapes),
         )
 
 
@@ -137,23 +132,6 @@ class CommandFailed:
     traceback: str
     is_user_error: bool
     """The exception was a HeadwayError: the user must act, and repeating the command is useless."""
-
-
-def parameter_arrays(
-    shapes: Mapping[str, tuple[tuple[int, ...], np.dtype[Any]]],
-    buffer: Any,  # noqa: ANN401 - a buffer
-) -> dict[str, NDArray[Any]]:
-    """Return arrays by name that lie one after another in a buffer."""
-    arrays, offset = {}, 0
-    for name, (shape, dtype) in shapes.items():
-        arrays[name] = np.frombuffer(buffer, dtype, prod(shape), offset).reshape(shape)
-        offset += aligned(arrays[name].nbytes)
-    return arrays
-
-
-def parameter_bytes(shapes: Mapping[str, tuple[tuple[int, ...], np.dtype[Any]]]) -> int:
-    """Return the size in bytes of the buffer that `parameter_arrays` needs."""
-    return sum(aligned(prod(shape) * dtype.itemsize) for shape, dtype in shapes.values())
 
 
 def run_worker(setup: Setup, commands: connection.Connection) -> None:

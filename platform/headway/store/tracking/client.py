@@ -105,7 +105,7 @@ class Tracker:
             self._ask("update_run", child, status="RUNNING")
             for name, text in tags.items():
                 if found[0].data.tags.get(name) != text[:_MAX_TEXT]:
-                    self.tag(child, name, text)
+                    self._ask("set_tag", child, name, text[:_MAX_TEXT])
         else:
             marked = {**_truncated(tags), "mlflow.parentRunId": parent, _RUN_TAG: run_id}
             moment = milliseconds(started)
@@ -113,10 +113,6 @@ class Tracker:
             child = str(created.info.run_id)
         self._parameters(child, parameters)
         return child
-
-    def tag(self, child: str, name: str, text: str) -> None:
-        """Set a tag of a run."""
-        self._ask("set_tag", child, name, text[:_MAX_TEXT])
 
     def points(self, child: str, started: str, points: Sequence[Point]) -> None:
         """Send points of the learning curve. MLflow only appends: send each point once."""
