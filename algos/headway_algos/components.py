@@ -95,7 +95,7 @@ ORDERS = {
     "simultaneous": Component(
         "All policies are updated at once.",
         SimultaneousConfig,
-        Lazy("headway_algos.on_policy.orders:simultaneous"),
+        Lazy("headway_algos.on_policy.learner:simultaneous"),
     ),
     "sequential": Component(
         "One policy after another in a random order, each with its advantages weighted by the probability "

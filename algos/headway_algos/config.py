@@ -165,13 +165,3 @@ class SimultaneousConfig(AlgoConfig):
             "apart_lr",
             "applies after shared_until: set shared_until, or leave apart_lr at 1",
         )
-
-
-@dataclass(frozen=True)
-class A3CConfig(AlgoConfig):
-    """A3C: how workers' gradients are applied."""
-
-    application: Literal["arrival", "in_turns"] = "arrival"
-    """When a worker's gradient is applied. `arrival`: as soon as it arrives, so that runs are not
-    reproducible; `in_turns`: in a fixed order of workers, which is reproducible but makes fast workers wait
-    (for tests). backend=serial always works in turns."""

@@ -9,8 +9,9 @@ from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenb
 from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.agent_id import agent_ids, impossible_ids
 from headway_algos.grouping import Grouping
-from headway_algos.recipes import KERNELS, ReplayRecipe
+from headway_algos.recipes import KERNELS
 from headway_algos.replay_config import DDPGConfig, ReplayConfig
+from headway_algos.replay_recipe import ReplayRecipe
 
 LEARNER = Lazy("headway_algos.off_policy.learner:OffPolicyLearner")
 

@@ -61,3 +61,15 @@ def zero_where_absent(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArr
         return values
     spread = present.reshape(present.shape + (1,) * (values.ndim - present.ndim))
     return np.where(spread, values, 0).astype(values.dtype, copy=False)
+
+
+def mean_per_replica(values: Tensor, replicas: int) -> NDArray[np.float64]:
+    """Return the mean over each replica's networks, (R,), of values (P,).
+
+    NaN, of networks that took no step, is left out; the mean is NaN if there is nothing else.
+    """
+    table = values.double().cpu().numpy().reshape(replicas, -1)
+    known = ~np.isnan(table)
+    count = known.sum(axis=1)
+    total = np.where(known, table, 0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

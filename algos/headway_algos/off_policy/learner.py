@@ -12,7 +12,9 @@ from torch import Tensor
 
 from headway.contracts import EnvSpec, Trajectory
 from headway_algos.agent_id import trajectory_with_ids
-from headway_algos.batches.policy_stack import PolicyStack, mean_per_replica
+from headway_algos.batches.divergence import raise_if_diverged
+from headway_algos.batches.layout import mean_per_replica
+from headway_algos.batches.policy_stack import PolicyStack
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.networks.network import acting_arrays
 from headway_algos.networks.normalisation import RunningStatistics
@@ -103,7 +105,7 @@ class OffPolicyLearner(PolicyStack):
         steps, copies = trajectory.rewards.shape[:2]
         self.progress, self.scheduled_steps = progress, self.env_steps
         self.env_steps += steps * copies // len(self.seeds)
-        self.raise_if_diverged(self.acting_parameters(), f"iteration {iteration}")
+        raise_if_diverged(self, self.acting_parameters(), f"iteration {iteration}")
         held = torch.from_numpy(self.replay.filled)
         metrics = {name: mean_per_replica(value, len(self.seeds)) for name, value in info.items()}
         return metrics | {

@@ -12,8 +12,9 @@ from torch import Tensor
 
 from headway.contracts import Contribution, EnvSpec, Trajectory
 from headway.contracts.acting_policy import Parameters
-from headway_algos.config import A3CConfig
+from headway_algos.batches.divergence import raise_if_diverged
 from headway_algos.networks.normalisation import RunningStatistics
+from headway_algos.on_policy.a3c_config import A3CConfig
 from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.updates.config import GradientUpdateConfig
@@ -157,4 +158,4 @@ class AsynchronousA2CLearner(OnPolicyLearner):
             if name in arrays:
                 count, mean, squares = torch.as_tensor(arrays[name], device=self.device)
                 moments.add(count[..., :1], mean, squares)
-        self.raise_if_diverged(self.acting_parameters(), f"iteration {iteration}")
+        raise_if_diverged(self, self.acting_parameters(), f"iteration {iteration}")

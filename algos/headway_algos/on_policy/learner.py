@@ -1,6 +1,6 @@
 """The on-policy learner: critic x update x order, on one stack of policies."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,20 +9,41 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import EnvSpec, HeadwayError, Trajectory, generator
+from headway.contracts import EnvSpec, Trajectory, generator
 from headway_algos.acting.policy import acting_policy
 from headway_algos.agent_id import trajectory_with_ids
+from headway_algos.batches.divergence import raise_if_critic_diverged, raise_if_diverged
 from headway_algos.batches.hidden_states import HiddenStates
+from headway_algos.batches.layout import mean_per_replica
 from headway_algos.batches.policy_batch import PolicyBatch, standardise
-from headway_algos.batches.policy_stack import PolicyStack, mean_per_replica, remedy
+from headway_algos.batches.policy_stack import PolicyStack
 from headway_algos.components import component
 from headway_algos.config import AlgoConfig
+from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
 from headway_algos.on_policy.critics import Critic
-from headway_algos.on_policy.orders import Order
 from headway_algos.on_policy.updates import Update
+
+Order = Callable[
+    [Update, Grouping, PolicyBatch, Tensor, Sequence[np.random.Generator], Sequence[np.random.Generator]],
+    dict[str, Tensor],
+]
+"""(update, grouping, rows, advantages (P, B), generators for shuffling (P,), generators for the order (R,))
+-> metrics by name, each (P,). Updates the policies in place."""
+
+
+def simultaneous(
+    update: Update,
+    grouping: Grouping,
+    rows: PolicyBatch,
+    advantages: Tensor,
+    generators: Sequence[np.random.Generator],
+    order_generators: Sequence[np.random.Generator],
+) -> dict[str, Tensor]:
+    """Update all policies at once, on advantages of the policies that acted."""
+    return update.improve(rows, advantages, generators)
 
 
 class OnPolicyLearner(PolicyStack):
@@ -72,7 +93,7 @@ class OnPolicyLearner(PolicyStack):
         estimate = self.critic.estimate(
             trajectory, self.behaviour.with_hidden_states(hidden_states), iteration
         )
-        self._raise_if_critic_diverged(estimate.advantages, iteration)
+        raise_if_critic_diverged(self, estimate.advantages, f"{self.unit} {iteration}")
         info = self._improve_policies(trajectory, observations, hidden_states, estimate.advantages, iteration)
         critic_metrics = self.critic.fit(estimate, iteration)
         # Each of these is as large as all observations; the normalisers allocate as much again.
@@ -80,7 +101,7 @@ class OnPolicyLearner(PolicyStack):
         # The running statistics apply from the next iteration on.
         self.critic.update_normalisers(trajectory)
         self.include_observations(self.actor.moments, trajectory)
-        self.raise_if_diverged(self.acting_parameters(), f"{self.unit} {iteration}")
+        raise_if_diverged(self, self.acting_parameters(), f"{self.unit} {iteration}")
         metrics = {f"policy/{name}": mean_per_replica(value, len(self.seeds)) for name, value in info.items()}
         return metrics | {f"critic/{name}": value for name, value in critic_metrics.items()}
 
@@ -149,19 +170,6 @@ class OnPolicyLearner(PolicyStack):
         order_generators = [generator(seed, "agent order", iteration) for seed in self.seeds]
         improve: Order = component("order", self.config.order).make
         return improve(self.policy_update, self.grouping, rows, by_policy, generators, order_generators)
-
-    def _raise_if_critic_diverged(self, advantages: NDArray[np.float64], iteration: int) -> None:
-        """Raise HeadwayError, naming the seed, if advantages (T, C, W) are not finite.
-
-        TRPO would reject every step on such advantages, and training would continue without effect.
-        """
-        broken = np.argwhere(~np.isfinite(advantages))
-        if len(broken):
-            seed = self.seeds[broken[:, 1].min() * len(self.seeds) // advantages.shape[1]]
-            raise HeadwayError(
-                f"{self.config.name} diverged: the critic of seed {seed} gives values that are not finite at "
-                f"{self.unit} {iteration}; {remedy(self.config, of_critic=True)}"
-            )
 
     def state_dict(self) -> dict[str, Any]:
         """Return the states of policies, critic and update."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from headway.contracts import EnvSpec, Learner
-from headway_algos.batches.policy_stack import resolve_device
+from headway_algos.batches.device import resolve_device
 from headway_algos.config import AlgoConfig, SimultaneousConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.per_seed_learner import PerSeedLearner

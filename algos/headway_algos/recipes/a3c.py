@@ -25,7 +25,7 @@ same batch.
 """
 
 from headway.contracts import Lazy
-from headway_algos.config import A3CConfig
+from headway_algos.on_policy.a3c_config import A3CConfig
 from headway_algos.recipes import Recipe
 
 RECIPE = Recipe(

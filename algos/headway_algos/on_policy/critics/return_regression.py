@@ -12,9 +12,8 @@ from torch import Tensor, nn
 from headway.contracts import EnvSpec, Trajectory, generator
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.batches.hidden_states import HiddenStates
-from headway_algos.batches.layout import Layout
+from headway_algos.batches.layout import Layout, mean_per_replica
 from headway_algos.batches.minibatches import Piece, even_slices
-from headway_algos.batches.policy_stack import mean_per_replica
 from headway_algos.batches.schedule import MinibatchSchedule
 from headway_algos.components import component
 from headway_algos.grouping import Grouping

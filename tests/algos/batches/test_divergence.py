@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from headway_algos.batches.policy_stack import mean_per_replica, remedy
+from headway_algos.batches.divergence import remedy
+from headway_algos.batches.layout import mean_per_replica
 from headway_algos.registry import configure
 
 
