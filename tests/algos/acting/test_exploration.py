@@ -88,7 +88,7 @@ def test_greedy_actions_and_log_probabilities_equal_torch(
     assert observed.action_masks is not None
     values = _torch_outputs(learner, observed)
     np.testing.assert_allclose(
-        acting.networks.outputs(learner.acting_parameters(), observed), values, rtol=1e-5, atol=1e-5
+        acting.perceptron.outputs(learner.acting_parameters(), observed), values, rtol=1e-5, atol=1e-5
     )
     best = np.where(observed.action_masks, values, -np.inf).argmax(axis=-1)
     actions, _ = acting.act(learner.acting_parameters(), observed, None)

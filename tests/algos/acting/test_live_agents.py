@@ -62,7 +62,7 @@ def _observations(
     draw, copies, masks, hidden = np.random.default_rng(7), len(alive), None, None
     observations = draw.normal(0, 2, (copies, SLOTS, SIZE)).astype(np.float32)
     observations[~alive] = np.nan
-    stack = policy.networks if isinstance(policy, EpsilonGreedyPolicy | OrnsteinUhlenbeckPolicy) else policy
+    stack = policy.perceptron if isinstance(policy, EpsilonGreedyPolicy | OrnsteinUhlenbeckPolicy) else policy
     flat = stack if isinstance(stack, MLPActingPolicy) else stack.perceptron
     if flat.spec.has_action_mask:
         masks = draw.random((copies, SLOTS, 4)) < 0.4

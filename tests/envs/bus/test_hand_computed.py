@@ -1,15 +1,15 @@
 """A small scenario computed by hand, and random draws compared with their distributions."""
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
+from played import begun, repeated
 
 from headway_envs.bus.config import BusConfig, NoiseConfig
 from headway_envs.bus.env import BusBatchedEnv
-from headway_envs.bus.kernel import draws, warm
+from headway_envs.bus.kernel import draws
 from headway_envs.bus.kernel.layout import MOVE, WAIT
+from headway_envs.bus.prepare import prepare
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.network import build
 from headway_envs.bus.scenario.tables import NO_LINK, Tables, check_tables
@@ -32,28 +32,16 @@ def tiny(board: float = 1e-9) -> Prepared:
     frames = {
         "stops": {"stop": [0, 1, 2], "lat": [0.0, 0.0, 0.0], "lon": [0.0, 0.01, 0.02]},
         "patterns": {"pattern": [0], "line": ["a"], "dir": ["I"], "n_stops": [3]},
-        "pattern_stops": {
-            "pattern": [0] * 3,
-            "seq0": [0, 1, 2],
-            "stop": [0, 1, 2],
-            "link": [NO_LINK, 0, 1],
-        },
+        "pattern_stops": {"pattern": [0] * 3, "seq0": [0, 1, 2], "stop": [0, 1, 2], "link": [NO_LINK, 0, 1]},
         "links": {"link": [0, 1], "from_stop": [0, 1], "to_stop": [1, 2], "leg_m": [1113, 1113]},
         "link_times": {
             "link": [0, 1],
-            "hour": [5, 5],
-            "log_sigma": [1e-9, 1e-9],
-            "mean_s": [100.0, 100.0],
-            "daytype": ["weekday"] * 2,
+            "hour": 5,
+            "log_sigma": 1e-9,
+            "mean_s": 100.0,
+            "daytype": "weekday",
         },
-        "demand": {
-            "pattern": [0],
-            "seq0": [0],
-            "hour": [5],
-            "calls": [2],
-            "board": [board],
-            "daytype": ["weekday"],
-        },
+        "demand": {"pattern": [0], "seq0": 0, "hour": 5, "calls": 2, "board": board, "daytype": "weekday"},
         "alighting": {
             "pattern": [0] * 12,
             "seq0": [0, 1, 2] * 4,
@@ -65,7 +53,7 @@ def tiny(board: float = 1e-9) -> Prepared:
             "vehicle": [0, 1],
             "dep_s": [18600, 20400],
             "arr_s": [18800, 20600],
-            "daytype": ["weekday"] * 2,
+            "daytype": "weekday",
         },
     }
     tables = Tables(
@@ -81,16 +69,11 @@ def tiny(board: float = 1e-9) -> Prepared:
 def test_events_fall_at_the_times_computed_by_hand() -> None:
     """The dispatch window opens at 18600 - 180 = 18420 s; with MOVE, stop 1 is at 18520 s, the end at 18620
     s."""
-    prepared = tiny()
-    env = BusBatchedEnv(prepared, 1)
-    env.reset(np.zeros(1, np.uint64))
-    slots = len(prepared.agents)
-    moves = np.full((1, slots), MOVE)
+    env = begun(BusBatchedEnv(tiny(), 1))
     seen = []
     for tick in range(20):
-        hold = np.full((1, slots), WAIT)
         # The tick 8 x 60 s after 05:00 holds the stop 1 decision at 18520 s, one minute longer.
-        outcome, _ = env.step(hold if tick == 8 else moves)
+        outcome = repeated(env, WAIT if tick == 8 else MOVE, 1)
         seen.append((env.world.event_time[0, 0], bool(outcome.acting[0, 0])))
     assert seen[6] == (18420.0, False)
     assert seen[7] == (18520.0, True)
@@ -102,16 +85,12 @@ def test_events_fall_at_the_times_computed_by_hand() -> None:
 
 def test_a_queue_boards_first_come_first_served_with_its_exact_waits() -> None:
     """Passengers at the first stop wait from their arrival to the decision at which they board."""
-    prepared = tiny(board=120.0)
-    env = BusBatchedEnv(prepared, 1)
-    env.reset(np.zeros(1, np.uint64))
-    moves = np.full((1, len(prepared.agents)), MOVE)
-    for _ in range(7):
-        env.step(moves)
+    env = begun(BusBatchedEnv(tiny(board=120.0), 1))
+    repeated(env, MOVE, 7)
     waiting = int(env.world.queues["waiting"][0, 0])
     arrived = env.world.arrived_at[0, :waiting].copy()
     assert waiting > 3
-    env.step(moves)  # the window opens at 18420, exactly the start of this tick
+    repeated(env, MOVE, 1)  # the window opens at 18420, exactly the start of this tick
     day = env.world.days[0]
     expected = np.sum(18420.0 - arrived)
     later = day["boarded"] - waiting
@@ -136,16 +115,12 @@ def test_the_unit_draws_have_mean_one_and_their_deviation() -> None:
     assert abs(np.mean([draws.exponential(key, 3, i, 0) for i in range(20000)]) - 1) < 0.03
 
 
-def test_boardings_respond_to_the_headway_less_than_in_proportion() -> None:
-    """If all are captive, arrivals equal the measured boardings; if half are, as many board at the target
-    headway, and more arrive."""
-    captive, half = tiny(120.0), tiny(120.0)
-    config = replace(half.config, captive_share=0.5)
-    assert captive.settings["captive_arrivals"][0] == 1.0
-    share = replace(half, config=config).settings["captive_arrivals"][0]
-    x = config.competing_headway_share
-    assert share == pytest.approx(0.5 / (0.5 + 0.5 / (x * (1 - np.exp(-1 / x)))))
-
-
-def test_the_kernel_warms() -> None:
-    warm()
+def test_of_passengers_who_are_not_captive_more_arrive_but_as_many_board() -> None:
+    """The demand is stated as boardings at the target headway. When buses bunch, some more are lost."""
+    days = {}
+    for share in (1.0, 0.5):
+        env = begun(BusBatchedEnv(prepare(BusConfig(captive_share=share)), 1))
+        repeated(env, MOVE, env.prepared.config.ticks - 1)
+        days[share] = env.world.days[0].copy()
+    assert days[0.5]["boarded"] == pytest.approx(days[1.0]["boarded"], rel=0.15)
+    assert days[0.5]["arrived"] > 2 * days[1.0]["arrived"]

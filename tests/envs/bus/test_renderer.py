@@ -6,29 +6,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from PIL import ImageColor
+from played import begun, repeated
 
 from headway_envs.bus.config import BusConfig
-from headway_envs.bus.entry import ENTRY
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import AWAY, MOVE, SERVICE_CENTER
+from headway_envs.bus.prepare import prepare
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.renderer import OUT_OF_SERVICE, QUEUE, BusRenderer, geography
 from headway_envs.bus.scenario.measures import distance_m
 from headway_envs.bus.scenario.source import scenario_tables
-
-
-def began(line: Prepared) -> BusBatchedEnv:
-    env = ENTRY.make(line, 1)
-    assert isinstance(env, BusBatchedEnv)
-    env.reset(np.zeros(1, np.uint64))
-    return env
-
-
-def drive(env: BusBatchedEnv, ticks: int, action: int = MOVE) -> bool:
-    ended = False
-    for _ in range(ticks):
-        ended = bool(env.step(np.full((1, env.spec.num_agents), action))[0].episode_ended[0])
-    return ended
 
 
 def near(picture: np.ndarray, colour: str) -> int:
@@ -60,11 +47,11 @@ def test_the_map_of_a_straight_line_is_no_strip_and_keeps_its_scale(line: Prepar
 
 
 def test_buses_queues_and_strokes_come_with_the_day(line: Prepared) -> None:
-    env, renderer = began(line), BusRenderer(line)
+    env, renderer = begun(BusBatchedEnv(line, 1)), BusRenderer(line)
     first = renderer.render(env, at_end=False)
     assert first.dtype == np.uint8
     for _ in range(30):
-        drive(env, 4)
+        repeated(env, MOVE, 4)
         later = renderer.render(env, at_end=False)
     assert later.shape == first.shape
     assert len(renderer._panels) == 2
@@ -104,28 +91,23 @@ def test_a_pattern_that_starts_midway_is_drawn_from_there(line: Prepared) -> Non
 
 
 def test_buses_at_a_centre_stand_out(line: Prepared) -> None:
-    env, renderer = began(line), BusRenderer(line)
-    drive(env, 60)
+    env, renderer = begun(BusBatchedEnv(line, 1)), BusRenderer(line)
+    repeated(env, MOVE, 60)
     assert near(renderer.render(env, at_end=False)[: renderer._map[3]], OUT_OF_SERVICE) == 0
     while not (env.world.slots["phase"] == AWAY).any():
-        drive(env, 1, SERVICE_CENTER)
+        repeated(env, SERVICE_CENTER, 1)
     assert near(renderer.render(env, at_end=False)[: renderer._map[3]], OUT_OF_SERVICE) > 60
 
 
 def test_the_end_keeps_the_diagram_and_the_next_day_begins_a_new_one() -> None:
-    short = ENTRY.prepare(BusConfig(end_hour=6))
-    env, renderer = began(short), BusRenderer(short)
+    short = prepare(BusConfig(end_hour=6))
+    env, renderer = begun(BusBatchedEnv(short, 1)), BusRenderer(short)
     renderer.render(env, at_end=False)
-    ended = drive(env, short.config.ticks - 5)
+    ended = repeated(env, MOVE, short.config.ticks - 5).episode_ended[0]
     while not ended:
         before = renderer.render(env, at_end=False)
-        ended = drive(env, 1)
+        ended = repeated(env, MOVE, 1).episode_ended[0]
     last, again = renderer.render(env, at_end=True), renderer.render(env, at_end=False)
     below = slice(renderer._panels[0][1], renderer._panels[-1][3])
     np.testing.assert_array_equal(last[below], before[below])
     assert (again[below] != last[below]).any()
-
-
-def test_another_environment_is_a_type_error(line: Prepared) -> None:
-    with pytest.raises(TypeError, match="the picture of a bus network needs a BusBatchedEnv, not object"):
-        BusRenderer(line).render(object(), at_end=False)

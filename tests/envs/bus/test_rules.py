@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from played import assert_allowed, first_episodes
 
 from headway.contracts import child_seeds
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.entry import ENTRY
 from headway_envs.bus.kernel.layout import SERVICE_CENTER, TERMINAL
+from headway_envs.bus.prepared import Prepared
 
 DAYS = 20
 LINE1 = Path(__file__).parents[4] / "shared" / "data" / "sunt" / "line1"
@@ -18,11 +20,9 @@ LINE1 = Path(__file__).parents[4] / "shared" / "data" / "sunt" / "line1"
 @cache
 def _metrics(scenario: str, rule_name: str) -> dict[str, np.ndarray]:
     prepared = ENTRY.prepare(BusConfig(scenario=scenario))
-    env, rule = ENTRY.make(prepared, DAYS), ENTRY.rules[rule_name].make(prepared)
+    env = ENTRY.make(prepared, DAYS)
     observed = env.reset(child_seeds(17, "days", 0, DAYS))
-    for _ in range(prepared.config.ticks):
-        outcome, observed = env.step(rule.act(env, observed))
-    return dict(zip(env.spec.metrics, outcome.metrics.T.copy(), strict=True))
+    return first_episodes(env, ENTRY.rules[rule_name].make(prepared), observed)
 
 
 @pytest.mark.parametrize("mover", ["always_move", "move_with_service"])
@@ -39,17 +39,16 @@ def test_the_best_holding_rule_beats_always_moving(scenario: str, mover: str) ->
         assert better.mean() > margin, name
 
 
-def test_buses_go_to_service_near_a_centre_in_time_and_no_more_often_than_they_must() -> None:
+def test_buses_go_to_service_near_a_centre_in_time_and_no_more_often_than_they_must(line: Prepared) -> None:
     """Hardly any bus runs out of fuel, and none goes that will reach the depot soon enough."""
-    prepared = ENTRY.prepare(BusConfig())
-    env, rule = ENTRY.make(prepared, 5), ENTRY.rules["move_with_service"].make(prepared)
+    env, rule = ENTRY.make(line, 5), ENTRY.rules["move_with_service"].make(line)
     observed, net, visits = env.reset(child_seeds(17, "days", 0, 5)), env.network, 0
     nearest = net.detour[net.pattern_calls[:-1]].min()
-    for _ in range(prepared.config.ticks):
+    for _ in range(line.config.ticks):
         actions = rule.act(env, observed)
         slots = env.world.slots
         going = (actions == SERVICE_CENTER) & (slots["phase"] == TERMINAL)
-        lasts_s = slots["fuel"] * prepared.config.upkeep.seconds_per_fuel_unit
+        lasts_s = slots["fuel"] * line.config.upkeep.seconds_per_fuel_unit
         worn = slots["uptime"] < 0.5
         assert (going <= ((lasts_s < 1.3 * net.trip_work_left[slots["trip"]]) | worn)).all()
         far = net.detour[slots["call"]] > nearest + 60
@@ -62,14 +61,10 @@ def test_buses_go_to_service_near_a_centre_in_time_and_no_more_often_than_they_m
 
 
 @pytest.mark.parametrize("name", sorted(ENTRY.rules))
-def test_every_rule_acts_within_the_masks(name: str) -> None:
-    prepared = ENTRY.prepare(BusConfig())
-    env, rule = ENTRY.make(prepared, 2), ENTRY.rules[name].make(prepared)
+def test_every_rule_acts_within_the_masks(line: Prepared, name: str) -> None:
+    env, rule = ENTRY.make(line, 2), ENTRY.rules[name].make(line)
     observed = env.reset(np.arange(2, dtype=np.uint64))
     for _ in range(200):
         actions = rule.act(env, observed)
-        assert actions.shape == observed.alive.shape
-        assert observed.action_masks is not None
-        allowed = np.take_along_axis(observed.action_masks, actions[..., None], axis=-1)[..., 0]
-        assert allowed[observed.alive].all()
+        assert_allowed(actions, observed)
         _, observed = env.step(actions)

@@ -13,16 +13,15 @@ from headway_envs.bus.scenario.plots import _plot_map, plot_scenario
 from headway_envs.bus.scenario.synthetic import generate
 
 
-@pytest.mark.parametrize("scenario", ["line", pytest.param("district", marks=pytest.mark.slow)])
-def test_a_picture_shows_the_map_and_the_day(scenario: str, tmp_path: Path) -> None:
-    tables = generate(scenario, 0)
-    plot_scenario(tables, "weekday", scenario).savefig(tmp_path / "a.png")
+def test_a_picture_shows_the_map_and_the_day(tmp_path: Path) -> None:
+    tables = generate("line", 0)
+    plot_scenario(tables, "weekday", "line").savefig(tmp_path / "a.png")
     with Image.open(tmp_path / "a.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).astype(int)
     left = pixels[:, : pixels.shape[1] * 55 // 100]
     coloured = (left.max(axis=2) - left.min(axis=2) > 60).mean()
     assert coloured > 0.002  # links, not only black text on white
-    plot_scenario(tables, "sunday", scenario).savefig(tmp_path / "b.png")
+    plot_scenario(tables, "sunday", "line").savefig(tmp_path / "b.png")
     assert (tmp_path / "a.png").read_bytes() != (tmp_path / "b.png").read_bytes()
 
 

@@ -43,13 +43,6 @@ def test_the_environment_needs_about_the_fleet_and_keeps_all_lines(district: Tab
     assert abs(len(on_sundays[0].slot_line) - 440 * 430 / 1359) < 0.15 * 140
 
 
-def test_a_seed_gives_the_same_town_and_another_one_another(district: Tables) -> None:
-    again, other = generate("district", 3), generate("district", 4)
-    for name in ("pattern_stops", "links", "link_times", "demand", "alighting", "trips"):
-        pd.testing.assert_frame_equal(getattr(district, name), getattr(again, name))
-    assert not district.pattern_stops.equals(other.pattern_stops)
-
-
 def test_links_and_demand_follow_the_fitted_values(district: Tables) -> None:
     check_tables(district)
     metres = np.log(district.pattern_stops.loc[district.pattern_stops["seq0"] > 0, "leg_m"])

@@ -7,16 +7,9 @@ import numpy as np
 import pytest
 
 from headway_envs.intersection.parallel import IntersectionSlotsParallelEnv
-from headway_envs.intersection.renderer import (
-    CRASH,
-    FAST,
-    HUMAN,
-    Camera,
-    Frame,
-    IntersectionRenderer,
-    render,
-)
+from headway_envs.intersection.renderer import CRASH, FAST, HUMAN, Camera, Frame, render
 
+Open = Callable[..., Any]
 FULL = np.full((1, 96, 1), 3, np.float32)
 
 
@@ -60,7 +53,7 @@ def test_a_parallel_env_renders_its_environment() -> None:
     face.close()
 
 
-def test_a_film_marks_a_crash_for_two_seconds(crossing: Callable[..., Any]) -> None:
+def test_a_film_marks_a_crash_for_two_seconds(crossing: Open) -> None:
     env = crossing(av_speed_mode=0, hdv_speed_mode=1)
     env.reset(np.array([3], np.uint64))
     camera, marked, crashed = Camera(env), [], []
@@ -73,8 +66,3 @@ def test_a_film_marks_a_crash_for_two_seconds(crossing: Callable[..., Any]) -> N
     assert marked.index(True) == first
     assert all(marked[first : first + 20])
     assert sum(marked) <= 21 * sum(crashed)
-
-
-def test_another_environment_is_a_type_error() -> None:
-    with pytest.raises(TypeError, match="needs an IntersectionBatchedEnv, not object"):
-        IntersectionRenderer(None).render(object(), at_end=False)

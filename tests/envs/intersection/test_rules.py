@@ -14,6 +14,8 @@ from headway_envs.intersection.network import ROAD_M
 from headway_envs.intersection.rules import Reservation, VirtualSignal
 from headway_envs.intersection.sumo.simulation import libsumo
 
+Open = Callable[..., Any]
+
 
 def _played(env: IntersectionBatchedEnv, rule: Rule, seed: int) -> dict[str, float]:
     observed = env.reset(np.array([seed], np.uint64))
@@ -27,7 +29,7 @@ def _played(env: IntersectionBatchedEnv, rule: Rule, seed: int) -> dict[str, flo
 
 
 @pytest.mark.parametrize("name", sorted(ENTRY.rules))
-def test_every_rule_plays(name: str, crossing: Callable[..., Any]) -> None:
+def test_every_rule_plays(name: str, crossing: Open) -> None:
     env = crossing(horizon=300)
     metrics = _played(env, ENTRY.rules[name].make(env.prepared), 1)
     assert all(np.isfinite(list(metrics.values())))
@@ -35,12 +37,9 @@ def test_every_rule_plays(name: str, crossing: Callable[..., Any]) -> None:
 
 
 @pytest.mark.slow
-def test_humans_observe_the_right_of_way_and_full_throttle_does_not(crossing: Callable[..., Any]) -> None:
-    env = crossing(horizon=1200)
-    crashes = {}
+def test_humans_observe_the_right_of_way_and_full_throttle_does_not(crossing: Open) -> None:
+    env, crashes = crossing(horizon=1200), {}
     for name in ("human", "reservation", "full_throttle"):
-        env.close()
-        env = crossing(horizon=1200)
         rule = ENTRY.rules[name].make(env.prepared)
         crashes[name] = [_played(env, rule, seed)["collisions"] for seed in (1, 2)]
     assert sum(crashes["human"]) == 0
@@ -50,15 +49,13 @@ def test_humans_observe_the_right_of_way_and_full_throttle_does_not(crossing: Ca
 
 @pytest.mark.slow
 @pytest.mark.parametrize("action_repeat", [1, 10])
-def test_the_virtual_signal_has_more_outflow_than_right_of_way(
-    action_repeat: int, crossing: Callable[..., Any]
-) -> None:
+def test_the_virtual_signal_has_more_outflow_than_right_of_way(action_repeat: int, crossing: Open) -> None:
     """Humans queue behind holding AVs while the minor road, which would otherwise wait long, has green."""
     through, worst, crashes = {}, {}, 0.0
     for name in ("human", "virtual_signal"):
         env = crossing(av_speed_mode=11, action_repeat=action_repeat)
         rule = ENTRY.rules[name].make(env.prepared)
-        played = [_played(env, rule, seed) for seed in (1, 2, 3, 4)]
+        played = [_played(env, rule, seed) for seed in (1, 2)]
         env.close()
         through[name] = np.mean([metrics["outflow_vph"] for metrics in played])
         worst[name] = np.mean([metrics["worst_approach_s"] for metrics in played])
@@ -68,14 +65,11 @@ def test_the_virtual_signal_has_more_outflow_than_right_of_way(
     assert worst["virtual_signal"] < 0.5 * worst["human"]
 
 
-def test_with_a_share_the_other_avs_drive_as_without_a_signal(crossing: Callable[..., Any]) -> None:
+def test_with_a_share_the_other_avs_drive_as_without_a_signal(crossing: Open) -> None:
     """Each vehicle either always complies or never; with a share of 0 the signal has no effect."""
     env = crossing(av_speed_mode=11)
-    all_keep, half, none = (
-        VirtualSignal(env.prepared),
-        ENTRY.rules["virtual_signal_0.5"].make(env.prepared),
-        VirtualSignal(env.prepared, 0),
-    )
+    all_keep, none = VirtualSignal(env.prepared), VirtualSignal(env.prepared, 0)
+    half = ENTRY.rules["virtual_signal_0.5"].make(env.prepared)
     observed = env.reset(np.array([3], np.uint64))
     kept: dict[str, bool] = {}
     for _ in range(1499):
@@ -94,10 +88,8 @@ def test_with_a_share_the_other_avs_drive_as_without_a_signal(crossing: Callable
 
 def test_compliance_is_drawn_per_vehicle_and_episode() -> None:
     """It is neither periodic nor the same in all episodes."""
-    rule, vehicles = (
-        VirtualSignal(None, 0.25),
-        [f"av.{lane}.{number}" for lane in range(8) for number in range(50)],
-    )
+    rule = VirtualSignal(None, 0.25)
+    vehicles = [f"av.{lane}.{number}" for lane in range(8) for number in range(50)]
     days = np.array([[rule._complies(vehicle, (day, 0)) for vehicle in vehicles] for day in range(20)])
     assert days.mean() == pytest.approx(0.25, abs=0.02)
     assert days.mean(axis=0).max() < 0.7
@@ -105,7 +97,7 @@ def test_compliance_is_drawn_per_vehicle_and_episode() -> None:
     assert np.std(gaps) == pytest.approx(np.sqrt(0.75) / 0.25, rel=0.4)  # geometric
 
 
-def test_avs_at_red_hold_far_before_the_stop_line(crossing: Callable[..., Any]) -> None:
+def test_avs_at_red_hold_far_before_the_stop_line(crossing: Open) -> None:
     """With AVs only: a vehicle that could hold when its green ended does not enter before its next green."""
     env, rule = crossing(vph_per_lane_hdv=0, av_speed_mode=11), VirtualSignal(None)
     observed = env.reset(np.array([3], np.uint64))
@@ -135,7 +127,7 @@ def test_avs_at_red_hold_far_before_the_stop_line(crossing: Callable[..., Any]) 
     assert held > 1000
 
 
-def test_handed_over_vehicles_are_humans_to_sumo(crossing: Callable[..., Any]) -> None:
+def test_handed_over_vehicles_are_humans_to_sumo(crossing: Open) -> None:
     env, sumo = crossing(horizon=600), libsumo()
     rule, observed = ENTRY.rules["human"].make(env.prepared), env.reset(np.array([1], np.uint64))
     for step in range(300):
@@ -147,7 +139,7 @@ def test_handed_over_vehicles_are_humans_to_sumo(crossing: Callable[..., Any]) -
         assert sumo.vehicle.getSpeedMode(vehicle) == 31
 
 
-def test_reservations_exclude_conflicts(crossing: Callable[..., Any]) -> None:
+def test_reservations_exclude_conflicts(crossing: Open) -> None:
     """Two AVs on conflicting paths are never inside the junction at once."""
     env, rule = crossing(vph_per_lane_hdv=0, horizon=1200), Reservation(None)
     observed, foes = env.reset(np.array([2], np.uint64)), env.prepared.network.foes

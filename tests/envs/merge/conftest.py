@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
+from played import begun
 
 from headway_envs.merge.config import MergeConfig
 from headway_envs.merge.entry import ENTRIES
@@ -18,8 +18,7 @@ def make_merge(name: str = "merge", copies: int = 1, **arguments: Any) -> MergeB
     entry = ENTRIES[name]
     env = entry.make(entry.prepare(MergeConfig(**arguments)), copies)
     assert isinstance(env, MergeBatchedEnv)
-    env.reset(np.arange(copies, dtype=np.uint64))
-    return env
+    return begun(env)
 
 
 @pytest.fixture(scope="session")

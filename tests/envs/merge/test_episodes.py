@@ -1,16 +1,17 @@
 """Starts and ends of episodes, and the differences between the presets."""
 
 from collections.abc import Callable
-from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import pytest
+from played import repeated
 
-from headway_envs.merge.config import CAVS, HDVS, PRESETS, Dynamics, MergeConfig, RewardConfig
+from headway_envs.merge.config import CAVS, HDVS, PRESETS
 from headway_envs.merge.entry import ENTRIES
 from headway_envs.merge.env import MergeBatchedEnv
 from headway_envs.merge.kernel.contact import outlines, shrunk_overlap
-from headway_envs.merge.kernel.layout import CAR
+from headway_envs.merge.kernel.layout import AS_HUMAN, CAR, IDLE
 from headway_envs.merge.network import build
 
 Make = Callable[..., MergeBatchedEnv]
@@ -54,27 +55,17 @@ def test_the_number_of_cavs_can_be_set(make: Make) -> None:
     assert env.observed().alive.all()
 
 
-def _run_to_end(env: MergeBatchedEnv, action: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return of each copy's first episode its length and whether all agents were terminated or truncated."""
-    shape = (env.num_copies, env.spec.num_agents)
-    lengths = np.zeros(env.num_copies, int)
-    over, cut = np.zeros(env.num_copies, bool), np.zeros(env.num_copies, bool)
-    for step in range(1, 101):
-        outcome, _ = env.step(np.full(shape, action, np.int64))
-        new = outcome.episode_ended & (lengths == 0)
-        lengths[new] = step
-        over[new], cut[new] = outcome.terminated[new].all(axis=1), outcome.truncated[new].all(axis=1)
-    return lengths, over, cut
-
-
 @pytest.mark.parametrize("name", ENTRIES)
 def test_the_time_limit_truncates_or_terminates_by_preset(make: Make, name: str) -> None:
     for preset, terminal in (("clean", False), ("paper", True)):
-        lengths, over, cut = _run_to_end(make(name, copies=32, preset=preset))
-        late = lengths == 100
+        env, crashed = make(name, copies=32, preset=preset), np.zeros(32, np.bool_)
+        for _ in range(99):
+            crashed |= repeated(env, AS_HUMAN, 1).episode_ended
+        outcome, late = repeated(env, AS_HUMAN, 1), ~crashed
         assert late.mean() > 0.8
-        assert (over[late] == terminal).all()
-        assert (cut[late] != terminal).all()
+        assert outcome.episode_ended[late].all()
+        assert (outcome.terminated[late] == terminal).all()
+        assert (outcome.truncated[late] != terminal).all()
 
 
 def test_the_last_step_of_the_paper_has_one_simulation_step(make: Make) -> None:
@@ -83,11 +74,15 @@ def test_the_last_step_of_the_paper_has_one_simulation_step(make: Make) -> None:
     for preset in PRESETS:
         env = make(preset=preset, density=1, steps=2)
         x = env.world.cars[0, 0]["x"].copy()
-        for _ in range(2):
-            outcome, _ = env.step(np.ones((1, 3), np.int64))
+        outcome = repeated(env, IDLE, 2)
         assert outcome.episode_ended[0]
         final[preset] = outcome.final_observations[0, 0, 1] * 150 - x
     assert final["clean"] / final["paper"] == pytest.approx(6 / 4, rel=0.01)
+
+
+def _centre(lane: np.void, x: Any) -> Any:  # noqa: ANN401 - number or array
+    """Return y of a lane's centre at x."""
+    return lane["y"] + lane["amplitude"] * np.sin(lane["pulsation"] * (x - lane["x"]) + lane["phase"])
 
 
 def test_the_papers_vehicles_turn_less_sharply(make: Make) -> None:
@@ -98,11 +93,10 @@ def test_the_papers_vehicles_turn_less_sharply(make: Make) -> None:
         bend = env.network.lanes[5]
         assert bend["amplitude"] > 0
         for _ in range(60):
-            env.step(np.full((1, 3), 5, np.int64))
+            repeated(env, AS_HUMAN, 1)
             cars = env.world.cars[0][: env.world.episodes[0]["cars"]]
             cars = cars[cars["lane"] == 5]
-            centre = bend["amplitude"] * np.sin(bend["pulsation"] * (cars["x"] - bend["x"]) + bend["phase"])
-            farthest = max(farthest, np.abs(cars["y"] - bend["y"] - centre).max(initial=0.0))
+            farthest = max(farthest, np.abs(cars["y"] - _centre(bend, cars["x"])).max(initial=0.0))
         off[preset] = farthest
     assert 0 < off["clean"] < 0.8 * off["paper"]
 
@@ -152,14 +146,8 @@ def test_lanes_are_connected() -> None:
             if following == lane or lane["merging"]:
                 continue
             x = lane["x"] + lane["length"]
-
-            def centre(of: np.void, at: float) -> float:
-                return float(
-                    of["y"] + of["amplitude"] * np.sin(of["pulsation"] * (at - of["x"]) + of["phase"])
-                )
-
             assert following["x"] == x
-            assert centre(lane, x) == pytest.approx(centre(following, x))
+            assert _centre(lane, x) == pytest.approx(_centre(following, x))
         assert net.obstacles.tolist() == [[420.0, 4.0], [420.0, 8.0]][:ramp_lanes]
 
 
@@ -170,44 +158,8 @@ def test_without_the_tie_gain_few_vehicles_leave_the_outer_ramp_lane(make: Make)
         env = make("merge_two_lane", copies=64, density=1)
         env.settings["tie_gain"] = tie
         outer = [env.world.cars[c]["y"][env.world.episodes[c]["cars"] - 1] == 14.5 for c in range(64)]
-        y = np.zeros(64)
-        for _ in range(99):
-            env.step(np.full((64, 3), 5, np.int64))
-            last = env.world.episodes["cars"] - 1
-            y = env.world.cars["y"][np.arange(64), last]
+        repeated(env, AS_HUMAN, 99)
+        y = env.world.cars["y"][np.arange(64), env.world.episodes["cars"] - 1]
         merged[tie] = (y[outer] < 6).mean()
     assert merged[0.21] > 0.6
     assert merged[0.0] < 0.4
-
-
-def test_presets_differ_in_every_field() -> None:
-    same = [
-        field.name
-        for field in fields(Dynamics)
-        if getattr(PRESETS["clean"], field.name) == getattr(PRESETS["paper"], field.name)
-    ]
-    assert same == []
-
-
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        ({"density": 4}, "density must be 1, 2 or 3, not 4"),
-        ({"preset": "modern"}, "preset must be clean or paper, not 'modern'"),
-        ({"cavs": 0}, "cavs must be null or between 1 and 6, not 0"),
-        ({"cavs": 7}, "cavs must be null or between 1 and 6, not 7"),
-        ({"steps": 0}, "steps must be at least 1, not 0"),
-    ],
-)
-def test_impossible_arguments_are_named(arguments: dict[str, object], line: str) -> None:
-    with pytest.raises(ValueError, match=line):
-        MergeConfig(**arguments)
-
-
-def test_impossible_rewards_are_named() -> None:
-    with pytest.raises(ValueError, match="scope must be global, regional or own, not 'team'"):
-        RewardConfig(scope="team")
-    with pytest.raises(ValueError, match="collision must be at least 0, not -1"):
-        RewardConfig(collision=-1.0)
-    with pytest.raises(ValueError, match="headway_s must be above 0, not 0"):
-        RewardConfig(headway_s=0.0)

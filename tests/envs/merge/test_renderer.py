@@ -5,11 +5,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from PIL import ImageColor
+from played import repeated
 
 from headway_envs.merge.entry import ENTRIES
 from headway_envs.merge.env import MergeBatchedEnv
+from headway_envs.merge.kernel.layout import IDLE
 from headway_envs.merge.renderer import CAV, CRASHED, HUMAN, MergeRenderer
 
+Make = Callable[..., MergeBatchedEnv]
 CAR_PIXELS = 25 * 10
 """Number of pixels of a vehicle, including its edges."""
 
@@ -20,9 +23,7 @@ def count(picture: np.ndarray, colour: str) -> int:
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_every_vehicle_is_drawn_and_crashes_stand_out(
-    make: Callable[..., MergeBatchedEnv], name: str
-) -> None:
+def test_every_vehicle_is_drawn_and_crashes_stand_out(make: Make, name: str) -> None:
     env = make(name, density=1)
     renderer = MergeRenderer(env.prepared)
     first = renderer.render(env, at_end=False)
@@ -32,30 +33,20 @@ def test_every_vehicle_is_drawn_and_crashes_stand_out(
     assert 0.6 < count(first, CAV) / (cavs * CAR_PIXELS) <= 1
     assert 0.6 < count(first, HUMAN) / (humans * CAR_PIXELS) <= 1
     assert count(first, CRASHED) == 0
-    ended = False
-    while not ended:
-        outcome, _ = env.step(np.ones((1, 3), np.int64))
-        ended = bool(outcome.episode_ended[0])
+    while not repeated(env, IDLE, 1).episode_ended[0]:
+        pass
     last = renderer.render(env, at_end=True)
     assert last.shape == first.shape
     assert count(last, CRASHED) > 0.6 * CAR_PIXELS
     assert count(renderer.render(env, at_end=False), CRASHED) == 0
 
 
-def test_the_end_can_be_drawn_after_a_reset(
-    make: Callable[..., MergeBatchedEnv],
-) -> None:
+def test_the_end_can_be_drawn_after_a_reset(make: Make) -> None:
     """The adapter of a ParallelEnv resets within its step."""
     env = make(steps=4)
     renderer = MergeRenderer(env.prepared)
-    for _ in range(4):
-        env.step(np.ones((1, env.spec.num_agents), np.int64))
+    repeated(env, IDLE, 4)
     last = renderer.render(env, at_end=True)
     env.reset(np.ones(1, np.uint64))
     assert count(last, CAV) > 0.6 * CAR_PIXELS
     np.testing.assert_array_equal(renderer.render(env, at_end=True), last)
-
-
-def test_another_environment_is_a_type_error(make: Callable[..., MergeBatchedEnv]) -> None:
-    with pytest.raises(TypeError, match="the picture of a merge needs a MergeBatchedEnv, not object"):
-        MergeRenderer(make().prepared).render(object(), at_end=False)

@@ -4,25 +4,17 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from played import assert_allowed, first_episodes, repeated
 
-from headway.adapters.pettingzoo import ParallelEnvBatch
 from headway_envs.merge.entry import ENTRIES, RULES
 from headway_envs.merge.env import MergeBatchedEnv
-from headway_envs.merge.kernel.layout import AS_HUMAN
+from headway_envs.merge.kernel.layout import AS_HUMAN, IDLE
 
 Make = Callable[..., MergeBatchedEnv]
 
 
 def _metrics(env: MergeBatchedEnv, rule_name: str) -> dict[str, np.ndarray]:
-    """Return the metrics of each copy's first episode."""
-    rule, observed = RULES[rule_name].make(env.prepared), env.observed()
-    first = np.full((env.num_copies, len(env.spec.metrics)), np.nan)
-    for _ in range(100):
-        outcome, observed = env.step(rule.act(env, observed))
-        new = outcome.episode_ended & np.isnan(first[:, 0])
-        first[new] = outcome.metrics[new]
-    assert np.isfinite(first).all()
-    return dict(zip(env.spec.metrics, first.T, strict=True))
+    return first_episodes(env, RULES[rule_name].make(env.prepared), env.observed())
 
 
 @pytest.mark.parametrize("name", ENTRIES)
@@ -33,13 +25,10 @@ def test_rules_act_within_the_masks(make: Make, name: str, rule: str) -> None:
     player, observed = RULES[rule].make(env.prepared), env.observed()
     for _ in range(100):
         actions = player.act(env, observed)
-        assert actions.shape == observed.alive.shape
         if rule == "idm_mobil":
             assert (actions == AS_HUMAN).all()
         else:
-            assert observed.action_masks is not None
-            allowed = np.take_along_axis(observed.action_masks, actions[..., None], axis=-1)[..., 0]
-            assert allowed[observed.alive].all()
+            assert_allowed(actions, observed)
         _, observed = env.step(actions)
 
 
@@ -60,29 +49,25 @@ def test_the_rules_differ(make: Make, name: str) -> None:
         assert (values["interventions"] == 0).all()
 
 
-@pytest.mark.parametrize(("preset", "rule"), [("clean", "random"), ("paper", "always_left")])
-def test_the_supervisor_prevents_crashes(make: Make, preset: str, rule: str) -> None:
+@pytest.mark.parametrize(
+    ("preset", "rule", "without", "with_it"),
+    [("clean", "random", (0.5, 0.9), (0.05, 0.45)), ("paper", "always_left", (0.2, 0.6), (0.0, 0.3))],
+)
+def test_the_supervisor_prevents_crashes(
+    make: Make, preset: str, rule: str, without: tuple[float, float], with_it: tuple[float, float]
+) -> None:
     """Random and always-left driving crash often without it, and far less often with it."""
-    rates = {}
-    for supervisor in (False, True):
+    rates = []
+    for supervisor, (low, high) in ((False, without), (True, with_it)):
         metrics = _metrics(make(copies=200, preset=preset, supervisor=supervisor), rule)
-        rates[supervisor] = metrics["crash_rate"].mean()
+        rates.append(metrics["crash_rate"].mean())
+        assert low <= rates[-1] <= high
         assert (metrics["interventions"].sum() > 0) == supervisor
-    bands = {"random": ((0.5, 0.9), (0.05, 0.45)), "always_left": ((0.2, 0.6), (0.0, 0.3))}
-    for supervisor, (low, high) in zip((False, True), bands[rule], strict=True):
-        assert low <= rates[supervisor] <= high, rates
-    assert rates[True] < 0.7 * rates[False]
+    assert rates[1] < 0.7 * rates[0]
 
 
 def test_the_supervisor_keeps_safe_actions(make: Make) -> None:
     """A single CAV far from the end of the ramp has no collision to prevent."""
     env = make(copies=16, density=1, cavs=1, supervisor=True)
-    for _ in range(5):
-        env.step(np.ones((16, 1), np.int64))
+    repeated(env, IDLE, 5)
     assert (env.world.episodes["interventions"] == 0).all()
-
-
-def test_idm_mobil_refuses_other_environments(make: Make) -> None:
-    adapted = ParallelEnvBatch(lambda: ENTRIES["merge"].parallel_env(make().prepared.config), 1, "merge")
-    with pytest.raises(TypeError, match="idm_mobil needs a MergeBatchedEnv, not ParallelEnvBatch"):
-        RULES["idm_mobil"].make(None).act(adapted, adapted.reset(np.zeros(1, np.uint64)))

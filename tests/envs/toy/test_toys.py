@@ -1,7 +1,5 @@
 """The toy environments have the returns that they document."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -189,23 +187,3 @@ def test_episodes_differ_from_each_other(name: str) -> None:
             break
     assert not np.array_equal(first[0], first[1])
     assert not np.array_equal(first[0], observed.states[0])
-
-
-@pytest.mark.parametrize(
-    ("config", "values", "message"),
-    [
-        (TrivialConfig, {"agents": 0}, "agents must be at least 1, not 0"),
-        (TrivialConfig, {"steps": 0}, "steps must be at least 1, not 0"),
-        (MatrixConfig, {"payoff": ((1.0, 2.0),)}, "as many columns as rows"),
-        (MatrixConfig, {"payoff": ((float("nan"),),)}, "finite"),
-        (TrackingConfig, {"effort": -1.0}, "effort must be within 0 and 10, not -1.0"),
-        (TrackingConfig, {"noise": 0.5}, "noise must be within 0 and 0.1, not 0.5"),
-        (VisitorsConfig, {"steps": 1}, "steps must be at least 2, not 1"),
-        (RecallConfig, {"agents": 0}, "agents must be at least 1, not 0"),
-        (RecallConfig, {"steps": 1}, "steps must be at least 2, not 1"),
-        (RecallConfig, {"cues": 1}, "cues must be at least 2, not 1"),
-    ],
-)
-def test_impossible_arguments_are_refused(config: type, values: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        config(**values)

@@ -1,15 +1,18 @@
 """Days with one row per call: simulated calls agree with the environment's totals."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from played import begun, repeated
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.entry import ENTRY
 from headway_envs.bus.env import BusBatchedEnv
+from headway_envs.bus.kernel.layout import MOVE
 from headway_envs.bus.prepare import prepare, prepare_replay
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.realism.calls import COLUMNS, recorded_day, simulated_days
@@ -36,45 +39,33 @@ def test_in_a_replay_every_trip_leaves_at_its_recorded_time(tables: Tables, repl
 
 
 def test_in_a_replay_there_are_no_breakdowns_or_services(replay: Prepared) -> None:
-    env = BusBatchedEnv(replay, 2)
-    env.reset(np.arange(2, dtype=np.uint64))
-    for _ in range(replay.config.ticks):
-        outcome, _ = env.step(np.ones((2, len(replay.agents)), np.int64))
-    metrics = dict(zip(env.spec.metrics, outcome.metrics.T, strict=True))
+    env = begun(BusBatchedEnv(replay, 2))
+    metrics = dict(zip(env.spec.metrics, repeated(env, MOVE, replay.config.ticks).metrics.T, strict=True))
     assert (metrics["breakdowns"] == 0).all()
     assert (metrics["service_visits"] == 0).all()
 
 
 def test_a_trace_changes_nothing_and_agrees_with_the_totals(line: Prepared) -> None:
-    plain, traced = BusBatchedEnv(line, 2), BusBatchedEnv(line, 2, traced=True)
+    plain, traced = begun(BusBatchedEnv(line, 2)), begun(BusBatchedEnv(line, 2, traced=True))
     rng = np.random.default_rng(3)
-    for env in (plain, traced):
-        env.reset(np.arange(2, dtype=np.uint64))
     for _ in range(line.config.ticks):
         actions = rng.choice(3, (2, len(line.agents)), p=[0.2, 0.79, 0.01])
         one, _ = plain.step(actions)
         other, _ = traced.step(actions)
         np.testing.assert_array_equal(one.rewards, other.rewards)
     np.testing.assert_array_equal(one.metrics, other.metrics)
-    boardings = one.metrics[:, line_metric(plain, "boardings")]
+    boardings = one.metrics[:, plain.spec.metrics.index("boardings")]
     np.testing.assert_array_equal(traced.trace.boarded.sum(axis=1), boardings)
     assert plain.trace.arrived.size == 0
 
 
 def test_the_trace_of_a_new_day_begins_empty(line: Prepared) -> None:
-    env = BusBatchedEnv(line, 1, traced=True)
-    env.reset(np.zeros(1, np.uint64))
-    actions = np.ones((1, len(line.agents)), np.int64)
-    for _ in range(line.config.ticks):
-        env.step(actions)
+    env = begun(BusBatchedEnv(line, 1, traced=True))
+    repeated(env, MOVE, line.config.ticks)
     assert np.isfinite(env.trace.arrived).any(), "the day that has ended is still there"
-    env.step(actions)
+    repeated(env, MOVE, 1)
     assert not np.isfinite(env.trace.arrived).any()
     assert env.trace.boarded.sum() <= env.world.days["boarded"][0]
-
-
-def line_metric(env: BusBatchedEnv, name: str) -> int:
-    return env.spec.metrics.index(name)
 
 
 def test_calls_are_in_order_and_loads_follow_from_boardings(tables: Tables, replay: Prepared) -> None:
@@ -104,10 +95,9 @@ def test_zero_days_are_refused(tables: Tables, replay: Prepared) -> None:
         next(simulated_days(tables, replay, 0))
 
 
-def _record(folder: Path, date: str, line: str) -> None:
-    """Return one trip of three calls in SUNT's format."""
-    folder.mkdir(exist_ok=True)
-    times = [f"{date} 07:00:00", f"{date} 07:02:00", f"{date} 07:05:00"]
+def _record(folder: Path, line: str) -> None:
+    """Write one trip of three calls in SUNT's format."""
+    times = ["2024-08-26 07:00:00", "2024-08-26 07:02:00", "2024-08-26 07:05:00"]
     pd.DataFrame(
         {
             "route_short_name": line,
@@ -116,24 +106,21 @@ def _record(folder: Path, date: str, line: str) -> None:
             "pt_sequence": [1, 2, 3],
             "stop_id": [10, 11, 12],
             "vehicle": "20001",
-            "trip_number": 1,
             "trip_id": "a",
             "start_trip": times[0],
-            "end_trip": times[-1],
             "stop_time": times,
             "n-boardings": [5.0, 2.0, 0.0],
             "n-alighting": [0.0, 1.0, 6.0],
             "lag_loading": [0.0, 5.0, 6.0],
-            "balance": [5.0, 1.0, -6.0],
             "loading": [5.0, 6.0, 0.0],
         }
-    ).to_parquet(folder / f"od-{date}.parquet")
+    ).to_parquet(folder / "od-2024-08-26.parquet")
 
 
 def test_a_recorded_day_has_the_same_columns(tables: Tables, tmp_path: Path) -> None:
-    _record(tmp_path / "raw", "2024-08-26", str(tables.patterns["line"].iloc[0]))
-    stated = Tables(**{**vars(tables), "meta": {"dates": {"weekday": "2024-08-26"}}})
-    day = recorded_day(tmp_path / "raw", stated, "weekday")
+    _record(tmp_path, str(tables.patterns["line"].iloc[0]))
+    stated = replace(tables, meta={"dates": {"weekday": "2024-08-26"}})
+    day = recorded_day(tmp_path, stated, "weekday")
     assert set(day.calls.columns) == set(COLUMNS)
     assert day.fares
     np.testing.assert_array_equal(day.calls["time"], [25200.0, 25320.0, 25500.0])
@@ -142,25 +129,20 @@ def test_a_recorded_day_has_the_same_columns(tables: Tables, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("date", "line", "meta", "said"),
+    ("line", "meta", "said"),
     [
-        ("2024-08-26", "", {}, "meta.json names no date of the timetable: add dates"),
-        (
-            "2024-08-26",
-            "",
-            {"dates": ["2024-08-26"]},
-            r"meta.json: dates must be \{DAY_TYPE: YYYY-MM-DD\}, not",
-        ),
-        ("2024-08-26", "", {"dates": {"weekday": "soon"}}, "a weekday must be text, YYYY-MM-DD, not 'soon'"),
-        ("2024-08-26", "", {"dates": {"weekday": 20240826}}, "must be text, YYYY-MM-DD, not 20240826"),
-        ("2024-08-26", "", {"ops_weekday": ["2024-08-26"]}, "must be text, YYYY-MM-DD, not"),
-        ("2024-08-27", "", {"dates": {"weekday": "2024-08-26"}}, "lacks od-2024-08-26.parquet"),
-        ("2024-08-26", "x", {"ops_weekday": "2024-08-26"}, "has no trip of the scenario's lines"),
+        ("own", {}, "meta.json names no date of the timetable: add dates"),
+        ("own", {"dates": ["2024-08-26"]}, r"meta.json: dates must be \{DAY_TYPE: YYYY-MM-DD\}, not"),
+        ("own", {"dates": {"weekday": "soon"}}, "a weekday must be text, YYYY-MM-DD, not 'soon'"),
+        ("own", {"dates": {"weekday": 20240826}}, "must be text, YYYY-MM-DD, not 20240826"),
+        ("own", {"ops_weekday": ["2024-08-26"]}, "must be text, YYYY-MM-DD, not"),
+        ("own", {"dates": {"weekday": "2024-08-27"}}, "lacks od-2024-08-27.parquet"),
+        ("another", {"ops_weekday": "2024-08-26"}, "has no trip of the scenario's lines"),
     ],
 )
 def test_records_of_another_scenario_are_refused(
-    tables: Tables, tmp_path: Path, date: str, line: str, meta: dict[str, object], said: str
+    tables: Tables, tmp_path: Path, line: str, meta: dict[str, object], said: str
 ) -> None:
-    _record(tmp_path / "raw", date, line or str(tables.patterns["line"].iloc[0]))
+    _record(tmp_path, str(tables.patterns["line"].iloc[0]) if line == "own" else line)
     with pytest.raises(HeadwayError, match=said):
-        recorded_day(tmp_path / "raw", Tables(**{**vars(tables), "meta": meta}), "weekday")
+        recorded_day(tmp_path, replace(tables, meta=meta), "weekday")

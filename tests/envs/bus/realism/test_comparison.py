@@ -10,15 +10,7 @@ import pytest
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.realism import measured, trip_statistics
-from headway_envs.bus.realism.comparison import (
-    CITY,
-    HOURS,
-    OWN,
-    Row,
-    call_km,
-    compare_replay,
-    observed_trips,
-)
+from headway_envs.bus.realism.comparison import CITY, HOURS, OWN, Row, call_km, compare_replay, observed_trips
 from headway_envs.bus.realism.measured import TOLERANCES, WHOLE_CITY, Tolerance
 from headway_envs.bus.scenario.fitted import DOI
 from headway_envs.bus.scenario.source import scenario_tables
@@ -72,9 +64,8 @@ def test_boardings_that_were_made_up_are_left_out(recorded: Tables) -> None:
 
 
 def test_a_statistic_missing_on_all_simulated_days_fails(recorded: Tables) -> None:
-    nobody = replace(
-        recorded, demand=recorded.demand.assign(board=0.0), meta={"source": f"a test of doi:{DOI}"}
-    )
+    demand, meta = recorded.demand.assign(board=0.0), {"source": f"a test of doi:{DOI}"}
+    nobody = replace(recorded, demand=demand, meta=meta)
     rows = {row.statistic: row for row in compare_replay(nobody, BusConfig(), 1)}
     assert np.isnan(rows[trip_statistics.RIDE].simulated), "nobody rode"
     assert not rows[trip_statistics.RIDE].holds
@@ -130,7 +121,5 @@ def test_salvador_s_busy_lines_are_irregular_as_they_were(day_type: str) -> None
     if records.is_dir():
         assert found[trip_statistics.cv_name(0)].holds
         assert CITY not in found[trip_statistics.cv_name(0)].source
-    simulated = np.array(
-        [found[trip_statistics.cv_name(fifth)].simulated for fifth in range(trip_statistics.FIFTHS)]
-    )
-    assert simulated[-1] > simulated[0], "bunching grows along the route"
+    first, last = (found[trip_statistics.cv_name(n)].simulated for n in (0, trip_statistics.FIFTHS - 1))
+    assert last > first, "bunching grows along the route"

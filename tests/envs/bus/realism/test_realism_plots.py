@@ -1,17 +1,13 @@
 """Pictures of days with missing measurements."""
 
-import matplotlib as mpl
 import pandas as pd
+from matplotlib.figure import Figure
 
 from headway_envs.bus.realism.plots import plot_headways_along
 from headway_envs.bus.realism.trip_statistics import cv_name
 
-mpl.use("Agg")
-
 
 def test_headways_that_were_not_measured_are_left_out() -> None:
-    from matplotlib.figure import Figure
-
     axes = Figure().subplots()
     some = {cv_name(0): 0.5, cv_name(4): 0.7}
     plot_headways_along(axes, {"simulated": some, "measured": pd.Series({"trip mean, min": 40.0})})
