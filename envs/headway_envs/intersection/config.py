@@ -76,7 +76,7 @@ class IntersectionConfig:
     automated vehicles (AVs) among human-driven vehicles (HDVs)."""
 
     junction: Literal["priority", "right_before_left", "allway_stop"] = "priority"
-    """Who has the right of way: the north-south road (`priority`), vehicles from the right
+    """Vehicles with the right of way: those of the north-south road (`priority`), vehicles from the right
     (`right_before_left`), or the vehicle that stopped first (`allway_stop`)."""
     vph_per_lane_hdv: float = 200.0
     """Human-driven vehicles per hour on each of the eight entry lanes (Poisson)."""

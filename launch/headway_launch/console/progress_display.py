@@ -2,6 +2,7 @@
 
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import suppress
 from types import TracebackType
@@ -21,16 +22,16 @@ _PLAIN_SHARE = 0.1
 """Pause between plain lines as a share of the elapsed time, so that they become rarer."""
 
 
-class _InPlace:
+class _InPlace(ABC):
     """Lines on stderr, updated in place on a terminal and cleared at the end."""
 
     def __init__(self) -> None:
         self._live: Live | None = None
         self._began = self._printed = time.monotonic()
 
+    @abstractmethod
     def _screen(self, width: int, height: int) -> "RenderableType":
         """Return what a terminal of `width` columns and `height` rows shows."""
-        raise NotImplementedError
 
     def __enter__(self) -> Self:
         self._began = self._printed = time.monotonic()

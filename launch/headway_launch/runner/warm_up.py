@@ -38,7 +38,6 @@ def compile_kernels_of(experiments: "Iterable[Experiment]") -> None:
 
 def compile_all_kernels() -> None:
     """Compile the kernels of all registered environments and algorithms, in one process per core."""
-    print_line(_LINE)
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         list(pool.map(_warm_module, kernel_modules()))
 

@@ -160,7 +160,7 @@ def _sampled(
 
 @pytest.mark.parametrize(("space", "choices"), [("discrete", (4,)), ("several", (2, 3, 1))])
 def test_frequencies_of_sampled_actions_are_the_probabilities(space: str, choices: tuple[int, ...]) -> None:
-    """Of several choices the joint ones: each is drawn independently, among its allowed options."""
+    """Each choice of a MultiDiscrete action is drawn independently, among its allowed options."""
     spec, draws = _spec(SPACES[space]), 40_000
     learner, acting = _learner(spec, "shared", "float64", (0,))
     one = _observed(spec, 1)

@@ -28,7 +28,7 @@ ON_POLICY = {
 }
 """Synchronous algorithms; for the others see `test_asynchronous`."""
 ALGORITHMS = [name for name, config in ON_POLICY.items() if name != "custom" and config.critic != "local"]
-"""Those with a local critic have the same updates; `test_defaults` trains them."""
+"""Synchronous algorithms without a local critic; `test_defaults` trains the others, with the same updates."""
 CONTINUOUS = [name for name in ALGORITHMS if name != "coma"]
 """Algorithms that take Box actions."""
 UPDATE = {name: config.update for name, config in ON_POLICY.items()}

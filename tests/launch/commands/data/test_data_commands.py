@@ -120,7 +120,7 @@ def test_the_command_that_is_recommended_has_the_values_of_the_study_of_such_net
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Of the size that `headway data synthetic --help` tells; the town itself is a line."""
+    """For each size that `headway data synthetic --help` lists; the generated town is a line."""
     described = description.by_day_type
 
     def by_day_type(*arguments: Any) -> list[description.DayStatistics]:  # noqa: ANN401 - passed on

@@ -65,7 +65,7 @@ def local(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_workers_import_the_same_modules_as_this_process() -> None:
-    """Of two modules of one name, for instance in another checkout, they import the same one."""
+    """Where two modules have one name, for instance in another checkout, they import the same one."""
     import ray
 
     def place() -> str:
