@@ -6,6 +6,7 @@ import sys
 from benchmarks import (
     city,
     crossing,
+    gpu,
     kernel,
     learning,
     lightness,
@@ -26,6 +27,7 @@ REPORTS = {
     "lightness": lightness.report,
     "store": store.report,
     "table3": table3.report,
+    "gpu": gpu.report,
     "ray": ray_workers.report,
 }
 

@@ -43,6 +43,8 @@ class Task:
     seed: int = 0
     stack: int = 1
     """Number of seeds trained together, from `seed` on."""
+    device: str = "cpu"
+    """Where the learner computes."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,7 @@ def measure_here(task: Task) -> Measurement:
     make = DictBased(task.env) if task.dict_based else entry.make
     config = ExperimentConfig(
         env_steps=task.copies * task.steps * task.iterations,
+        device=task.device,
         rollout=RolloutConfig(task.copies, task.steps, task.block),
         backend=build(BackendConfig, {"name": task.backend}),
         evaluation=EvaluationConfig(episodes=1, final_episodes=1, every=10**6, modes=("greedy",)),

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from covering import pairwise
 from dials import ENTRY as DIALS
+from gpu import needs_gpu
+from learned import assert_close, assert_equal, reloaded, tensors
 from numpy.typing import NDArray
 
 from headway.config.schema import build
@@ -143,6 +145,8 @@ class Trained:
     """Metrics of the last iteration."""
     acted: NDArray[np.bool_]
     """(R, N): the agent used an action."""
+    state: Mapping[str, Any]
+    """The learner's state."""
 
     @property
     def moved(self) -> NDArray[np.bool_]:
@@ -153,8 +157,8 @@ class Trained:
         return np.any([move.reshape(len(move), -1).any(axis=1) for move in moves], axis=0)
 
 
-def opened(plan: RolloutPlan, entry: AlgoEntry, config: object) -> tuple[Learner, Backend, Mode]:
-    learner = entry.learner(config, plan.spec, plan.seeds, "cpu")
+def opened(plan: RolloutPlan, entry: AlgoEntry, config: object, device: str) -> tuple[Learner, Backend, Mode]:
+    learner = entry.learner(config, plan.spec, plan.seeds, device)
     if entry.contributor is None:
         collector = SerialCollector(plan)
         return learner, collector, SynchronousMode(learner, collector)
@@ -170,12 +174,12 @@ def trajectories(backend: Backend) -> list[Trajectory]:
     return [backend.trajectory]
 
 
-def trained(task: str, entry: AlgoEntry, config: object) -> Trained:
+def trained(task: str, entry: AlgoEntry, config: object, device: str = "cpu") -> Trained:
     found, steps, seeds, copies = prepared(task), TASKS[task].steps, seeds_of(task, entry), TASKS[task].copies
     spec = found.spec.for_policies
     policy, block = entry.acting_policy(config, spec), copies if entry.contributor is None else 1
     plan = RolloutPlan(found.entry.make, (), found.shared, spec, policy, seeds, copies, steps, block)
-    learner, backend, mode = opened(plan, entry, config)
+    learner, backend, mode = opened(plan, entry, config, device)
     backend.begin()
     before = {name: array.copy() for name, array in learner.acting_parameters().items()}
     acted = np.zeros((len(seeds), found.spec.num_agents), dtype=np.bool_)
@@ -185,7 +189,7 @@ def trained(task: str, entry: AlgoEntry, config: object) -> Trained:
             by_copy = trajectory.acting.any(axis=0)
             acted |= by_copy.reshape(len(seeds), -1, found.spec.num_agents).any(axis=1)
     backend.close()
-    return Trained(before, learner.acting_parameters(), metrics, acted)
+    return Trained(before, learner.acting_parameters(), metrics, acted, learner.state_dict())
 
 
 def seeds_of(task: str, entry: AlgoEntry) -> tuple[int, ...]:
@@ -231,6 +235,30 @@ def assert_trains(task: str, entry: AlgoEntry, config: object, policies: str) ->
         assert moved.any(axis=1).all()
     else:
         assert moved[:, own][result.acted].all()
+
+
+@needs_gpu
+@pytest.mark.parametrize(
+    ("task", "algorithm", "policies", "core"),
+    pairwise(("visitors", "tracking", "dials", "trivial"), algo_entries(), POLICIES, CORES, where=trainable),
+)
+def test_a_gpu_learns_what_a_cpu_learns(task: str, algorithm: str, policies: str, core: str) -> None:
+    config = configured(algorithm, policies, precision="float64", **CORES[core])
+    on_cpu, on_gpu = (trained(task, algo_entry(algorithm), config, device) for device in ("cpu", "cuda"))
+    assert_close(dict(on_gpu.after), dict(on_cpu.after), rtol=1e-5, atol=1e-7)
+    assert_close(dict(on_gpu.metrics), dict(on_cpu.metrics), rtol=1e-5, atol=1e-7)
+
+
+@needs_gpu
+@pytest.mark.parametrize("algorithm", algo_entries())
+def test_what_a_gpu_learned_is_resumed_on_a_cpu(algorithm: str) -> None:
+    task = "tracking" if algorithm == "ddpg" else "visitors"
+    entry, config, spec = algo_entry(algorithm), configured(algorithm, "independent"), prepared(task).spec
+    state = trained(task, entry, config, "cuda").state
+    other_seeds = tuple(seed + 1 for seed in seeds_of(task, entry))
+    resumed = entry.learner(config, spec.for_policies, other_seeds, "cpu")
+    resumed.load_state_dict(reloaded(dict(state)))
+    assert_equal(tensors(resumed.state_dict()), tensors(dict(state)))
 
 
 def test_kfac_is_refused_for_recurrent_networks() -> None:

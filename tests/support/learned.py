@@ -17,7 +17,7 @@ Arrays = dict[str, NDArray[Any]]
 def tensors(state: Any, path: str = "") -> Arrays:  # noqa: ANN401 - tensors, nested
     """Return copies of all tensors of a nested state, by their place in it."""
     if isinstance(state, torch.Tensor):
-        return {path.strip(): state.detach().numpy().copy()}
+        return {path.strip(): state.detach().cpu().numpy().copy()}
     if not isinstance(state, dict | list):
         return {}
     items = state.items() if isinstance(state, dict) else enumerate(state)
@@ -42,7 +42,7 @@ def reloaded(state: dict[str, Any]) -> Any:  # noqa: ANN401 - as torch loads it
     file = io.BytesIO()
     torch.save(state, file)
     file.seek(0)
-    return torch.load(file, weights_only=True)
+    return torch.load(file, map_location="cpu", weights_only=True)
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:

@@ -1,0 +1,38 @@
+"""Sessions that train on a GPU."""
+
+import json
+from pathlib import Path
+
+import pytest
+from gpu import needs_gpu
+from small_runs import SMALL, end_as
+
+from headway.config.experiment import StoreConfig
+from headway.store.index import RunIndex
+from headway_launch.commands.main import run
+
+pytestmark = [needs_gpu, pytest.mark.slow]
+TINY = (
+    "env=trivial",
+    "algo=mappo",
+    *SMALL,
+    "env_steps=192",
+    "env.args.agents=2",
+    "env.args.steps=20",
+    "device=cuda",
+)
+
+
+@pytest.mark.parametrize("backend", ["serial", "process"])
+def test_a_session_trains_a_stack_of_seeds_on_a_gpu_and_resumes_it(backend: str, empty_folder: Path) -> None:
+    assert run(["run", *TINY, "energy=codecarbon", f"backend={backend}", "backend.stack=2", "seed=0,1"]) == 0
+    runs = RunIndex(Path(StoreConfig().root)).rows()
+    assert [row.status for row in runs] == ["FINISHED", "FINISHED"]
+    summaries = [Path(row.directory, "summary.json") for row in runs]
+    first = [json.loads(summary.read_text()) for summary in summaries]
+    assert all(summary["kwh"] > 0 for summary in first)
+    for row in runs:
+        end_as(row.directory)
+    assert run(["resume", *(row.run_id for row in runs)]) == 0
+    again = [json.loads(summary.read_text()) for summary in summaries]
+    assert [summary["final_reward"] for summary in again] == [summary["final_reward"] for summary in first]
