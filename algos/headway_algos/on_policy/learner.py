@@ -12,6 +12,7 @@ from torch import Tensor
 from headway.contracts import EnvSpec, Trajectory, generator
 from headway_algos.acting.policy import acting_policy
 from headway_algos.agent_id import trajectory_with_ids
+from headway_algos.batches.device import resolve_device
 from headway_algos.batches.divergence import raise_if_critic_diverged, raise_if_diverged
 from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import mean_per_replica
@@ -25,6 +26,9 @@ from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
 from headway_algos.on_policy.critics import Critic
 from headway_algos.on_policy.updates import Update
+
+GPU_PIECE_SAMPLES = 2**20
+"""Least samples per piece on a GPU, which pieces that fit a processor's cache leave idle."""
 
 Order = Callable[
     [Update, Grouping, PolicyBatch, Tensor, Sequence[np.random.Generator], Sequence[np.random.Generator]],
@@ -64,6 +68,8 @@ class OnPolicyLearner(PolicyStack):
 
         `unit`: what `update` counts, for error lines.
         """
+        if resolve_device(device).type == "cuda":
+            config = replace(config, piece_samples=max(config.piece_samples, GPU_PIECE_SAMPLES))
         super().__init__(config, spec, seeds, device)
         self.step_scale, self.unit, spec = step_scale, unit, self.spec
         policies = self.grouping.num_policies
