@@ -54,6 +54,7 @@ Fault = Literal[
     "exit",
     "hang up",
     "kill parent",
+    "fork",
 ]
 
 VISITORS = VisitorsConfig(agents=3, steps=12)
@@ -136,6 +137,8 @@ class FaultyVisitors:
             case "kill parent":  # for a Ray worker, the daemon of its node
                 os.kill(os.getppid(), signal.SIGKILL)
                 time.sleep(60)
+            case "fork":
+                os.fork()
             case "exit":
                 sys.exit(3)
             case "hang up":

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from headway.events import Row
 from headway.rollout.episodes import EvaluationRequest, OnStep, evaluate_policy, ignore_step
 from headway.rollout.plan import RolloutPlan
-from headway.store.checkpoint import load_latest, require_same_shapes
+from headway.store.checkpoint import load_latest, require_usable
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.experiments.compose import PreparedEnv
 from headway_launch.runner.stored_run import StoredRun
@@ -41,7 +41,7 @@ def newest_policy(run: StoredRun, environment: PreparedEnv) -> TrainedPolicy:
     spec = run.policy_spec(environment)
     policy = experiment.algo.acting_policy(experiment.algo_config, spec)
     env, seeds, replicas = environment.entry, (run.record.seed,), len(run.stack)
-    require_same_shapes(state["acting"], policy, replicas, experiment.config.env.id, run.directory)
+    require_usable(state["acting"], policy, replicas, experiment.config.env.id, run.directory)
     plan = RolloutPlan.of(rollout, env.make, env.preload, environment.prepared, spec, policy, seeds)
     replica = run.stack.index(run.record.seed)
     parameters = {name: np.split(np.asarray(a), replicas)[replica] for name, a in state["acting"].items()}

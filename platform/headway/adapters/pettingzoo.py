@@ -96,7 +96,8 @@ class ParallelEnvBatch:
 
     NaN and infinity are passed on: the caller checks values, since it can name the copies.
 
-    Raises HeadwayError for spaces that differ between agents or are not supported, agents that leave early
+    Raises HeadwayError for spaces that differ between agents or are not supported, live agents without an
+    observation or a reward, answers of agents that are not in `possible_agents`, agents that leave early
     without `agents_come_and_go`, rewards that differ despite `shared_reward`, and episodes that end without
     the declared metrics.
     """
@@ -236,6 +237,7 @@ class ParallelEnvBatch:
         self._write_observations(copy, observations)
         self._update_alive(copy)
         self._read_infos(copy, infos, after_reset=True)
+        self._require_observations(copy, observations)
         if self._spec.state_size:
             self._observed.states[copy] = env.state().reshape(-1)
 
@@ -248,6 +250,7 @@ class ParallelEnvBatch:
             given = {agent: decoded[self._index[agent]] for agent in live}
         observations, rewards, terminated, truncated, infos = env.step(given)
         self._write_observations(copy, observations)
+        self._require_rewards(copy, rewards)
         self._outcome.rewards[copy] = self._slot_rewards(rewards, live)
         ended = False
         # Fast path of most steps: no stream ended and every agent is in `env.agents`.
@@ -264,6 +267,7 @@ class ParallelEnvBatch:
             self._update_alive(copy)
         if self._has_masks or any(infos.values()):
             self._read_infos(copy, infos, after_reset=False)
+        self._require_observations(copy, observations)
         if ended:
             self._end_episode(copy, infos)
         elif self._spec.state_size:
@@ -277,14 +281,43 @@ class ParallelEnvBatch:
                 np.concatenate([observations[agent] for agent in agents], out=rows.reshape(-1))
                 return
             for agent, observation in observations.items():
-                if agent in self._index:
-                    rows[self._index[agent]] = np.asarray(observation).reshape(-1)
+                rows[self._index[agent]] = np.asarray(observation).reshape(-1)
         except (KeyError, ValueError, TypeError) as error:
+            self._require_known("an observation", observations)
             shapes = {agent: np.shape(observation) for agent, observation in observations.items()}
             raise HeadwayError(
                 f"environment '{self._spec.name}' gave observations of shapes {shapes} where each agent "
                 f"should get {self._spec.observation_size} numbers; fix its observation_space"
             ) from error
+
+    def _require_observations(self, copy: int, observations: Mapping[str, Any]) -> None:
+        """Raise HeadwayError if a live agent has none: its last one would be taken for a new one."""
+        if len(observations) == len(self._spec.agents):  # of known agents
+            return
+        self._require_given("observation", observations, self._observed.alive[copy])
+
+    def _require_rewards(self, copy: int, rewards: Mapping[str, float]) -> None:
+        """Raise HeadwayError if an agent whose action was due has none, or an unknown agent has one."""
+        if len(rewards) == len(self._spec.agents) and rewards.keys() == self._index.keys():
+            return
+        self._require_known("a reward", rewards)
+        self._require_given("reward", rewards, self._outcome.acting[copy])
+
+    def _require_known(self, what: str, given: Mapping[str, Any]) -> None:
+        for agent in given:
+            if agent not in self._index:
+                raise HeadwayError(
+                    f"environment '{self._spec.name}' gave {what} of agent '{agent}' at step {self._steps}, "
+                    "which is not in its possible_agents; list every agent that can appear"
+                )
+
+    def _require_given(self, what: str, given: Mapping[str, Any], due: NDArray[np.bool_]) -> None:
+        for index in np.flatnonzero(due):
+            if (agent := self._spec.agents[index]) not in given:
+                raise HeadwayError(
+                    f"environment '{self._spec.name}' gave no {what} of agent '{agent}', which is alive, at "
+                    f"step {self._steps}; give one for every agent in env.agents"
+                )
 
     def _slot_rewards(self, rewards: Mapping[str, float], live: Sequence[str] | None) -> list[float]:
         """Return the reward of each slot (N,); `live` are the agents whose actions were due, None: all."""

@@ -1,5 +1,6 @@
 """Evaluation of policies and rules: complete episodes on given seeds."""
 
+import os
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from headway.contracts import (
 )
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row
+from headway.rollout.forks import end_if_forked
 from headway.rollout.nan_check import NameCopy, check_finite
 from headway.rollout.plan import RolloutPlan, evaluation_block
 from headway.rollout.policy_player import PolicyPlayer
@@ -86,7 +88,7 @@ def run_episodes(
     check_finite(env.spec, None, observed, 0, name_copy)
     tally = Tally(env.num_copies, env.spec.metrics)
     rows: dict[int, Row] = {}
-    step = 0
+    step, process_id = 0, os.getpid()
     while len(rows) < env.num_copies:
         if step == MAX_STEPS:
             copy = min(set(range(env.num_copies)) - rows.keys())
@@ -95,6 +97,7 @@ def run_episodes(
                 "every episode must terminate or be truncated"
             )
         outcome, observed = env.step(act(observed, step))
+        end_if_forked(process_id)
         step += 1
         check_finite(env.spec, outcome, observed, step, name_copy)
         on_outcome(outcome)

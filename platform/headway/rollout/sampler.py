@@ -1,5 +1,6 @@
 """The sampler: the loop that steps environments with policies, in workers and in the serial backend."""
 
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from headway.contracts import Observations, StepResult, Trajectory, child_seeds, generator
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row
+from headway.rollout.forks import end_if_forked
 from headway.rollout.nan_check import check_finite
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.policy_player import PolicyPlayer
@@ -110,7 +112,7 @@ class Sampler:
         parameters = self.full_plan.parameters_of(parameters, self.shard.first_replica, self.shard.replicas)
         observed, views, spec = self.observed, self.views, self.plan.spec
         noise = self._noise(iteration)
-        episodes = []
+        episodes, process_id = [], os.getpid()
         check_finite(spec, None, observed, 0, self._name_copy)
         if self.player.hidden_states is not None:
             views["hidden_states"][0] = self._by_replica(self.player.hidden_states)
@@ -121,6 +123,7 @@ class Sampler:
             views["actions"][t] = self._by_replica(actions)
             views["log_probs"][t] = self._by_replica(log_probs)
             outcome, observed = self.env.step(actions)
+            end_if_forked(process_id)
             check_finite(spec, outcome, observed, t + 1, self._name_copy)
             for name in ("rewards", "terminated", "truncated", "acting"):
                 views[name][t] = self._by_replica(getattr(outcome, name))

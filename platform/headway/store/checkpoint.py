@@ -134,10 +134,10 @@ def _newest_valid(
     raise HeadwayError(f"there is no checkpoint in {where}: start the run anew")
 
 
-def require_same_shapes(
+def require_usable(
     parameters: Parameters, policy: ActingPolicy, replicas: int, environment: str, run: Path
 ) -> None:
-    """Raise HeadwayError if a checkpoint's arrays do not have the shapes of `policy`.
+    """Raise HeadwayError if a checkpoint's arrays do not have the shapes of `policy`, or are not finite.
 
     `parameters` are those of `replicas` replicas, from the run folder `run`.
     """
@@ -148,6 +148,8 @@ def require_same_shapes(
                 f"run {run.name} was trained on a version of {environment} with other observations, actions "
                 "or agents; train it again"
             )
+        if not np.isfinite(parameters[name]).all():
+            raise HeadwayError(f"run {run.name} diverged: its policy's {name} is not finite; train it again")
 
 
 def latest_iteration(directory: Path) -> int | None:
@@ -175,8 +177,10 @@ def _load(path: Path) -> dict[str, Any]:
         raise ValueError("its checksum does not match")
     try:
         state = torch.load(io.BytesIO(memoryview(content)[header:]), map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
-        raise ValueError("torch cannot load it: " + str(error).splitlines()[0]) from error
+    except pickle.UnpicklingError as error:  # whose text advises to load it unsafely
+        raise ValueError("it holds other objects than tensors, numbers and strings") from error
+    except (RuntimeError, EOFError) as error:
+        raise ValueError("torch cannot read its content") from error
     decoded = _decoded(state)
     if not isinstance(decoded, dict):
         raise ValueError("it holds no state")

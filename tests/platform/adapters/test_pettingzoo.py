@@ -279,6 +279,53 @@ def test_an_unknown_agent_is_an_error() -> None:
         env.reset(seeds())
 
 
+def _leave_out(name: str, agent: str, at: int) -> Script:
+    """At step `at`, b ends, and `agent` is left out of the mapping `name`."""
+
+    def script(env: Scripted) -> None:
+        if env.steps == 2:
+            env.terminated["b"] = True
+        if env.steps == at:
+            del getattr(env, name)[agent]
+
+    return script
+
+
+@pytest.mark.parametrize("name", ["observation", "reward"])
+@pytest.mark.parametrize("shared_reward", [False, True])
+def test_a_live_agent_without_an_answer_is_an_error(name: str, shared_reward: bool) -> None:
+    """Also while another agent is absent; one that has ended needs neither."""
+    options = AdapterOptions(shared_reward=shared_reward, agents_come_and_go=True)
+    for agent, at in (("b", 1), ("a", 3)):
+        made = partial(Scripted, _leave_out(f"{name}s", agent, at))
+        env = ParallelEnvBatch(made, 1, "scripted", options)
+        env.reset(seeds(1))
+        for _ in range(at - 1):
+            env.step(NOTHING[:1])
+        message = f"'scripted' gave no {name} of agent '{agent}', which is alive, at step {at}; give one"
+        with pytest.raises(HeadwayError, match=message):
+            env.step(NOTHING[:1])
+
+
+def test_an_agent_without_its_first_observation_is_an_error() -> None:
+    env = batch(_leave_out("observations", "a", 0))
+    with pytest.raises(HeadwayError, match="gave no observation of agent 'a', which is alive, at step 0"):
+        env.reset(seeds())
+
+
+@pytest.mark.parametrize("name", ["observation", "reward"])
+def test_an_answer_of_an_unknown_agent_is_an_error(name: str) -> None:
+    def script(env: Scripted) -> None:
+        if env.steps == 1:
+            mapping = getattr(env, f"{name}s")
+            mapping["stranger"] = mapping["a"]
+
+    env = batch(script)
+    env.reset(seeds())
+    with pytest.raises(HeadwayError, match=rf"gave an? {name} of agent 'stranger' at step 1, which is not"):
+        env.step(NOTHING)
+
+
 def test_an_environment_without_agents_is_refused() -> None:
     with pytest.raises(HeadwayError, match="has no possible_agents"):
         ParallelEnvBatch(lambda: Scripted(agents=()), 1, "scripted")

@@ -86,6 +86,14 @@ def test_a_worker_that_fails_in_mid_iteration_does_not_change_the_data(
     assert "from the last snapshot" in notices[0]
 
 
+def test_an_environment_that_forks_in_mid_iteration_does_not_change_the_data(
+    tmp_path: Path, undisturbed: list[Taken]
+) -> None:
+    """The forked process would answer too, so that every later answer would be that to the command before."""
+    assert_same(undisturbed, _taken(_plan(tmp_path, "fork"), notices := []))
+    assert notices == []
+
+
 def test_two_workers_killed_in_one_iteration_are_replaced(tmp_path: Path, undisturbed: list[Taken]) -> None:
     # Both faults strike at the same step; a replacement finds both marks and does not strike again.
     assert_same(undisturbed, _taken(_plan(tmp_path, times=2, at=21), notices := []))
