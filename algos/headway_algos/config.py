@@ -113,8 +113,8 @@ class AlgoConfig(LearnerConfig):
     normalise_advantages: bool = True
     """Standardise advantages per policy."""
     piece_samples: int = 5120
-    """Samples, over all policies of a stack, processed at once, so that activations fit the cache; on a GPU at
-    least 2^20. Affects results by rounding only."""
+    """Samples, over all policies of a stack, processed at once, so that activations fit the cache; on a GPU
+    at least 2^20. Affects results by rounding only."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

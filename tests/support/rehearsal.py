@@ -55,6 +55,8 @@ Fault = Literal[
     "hang up",
     "kill parent",
     "fork",
+    "hang",
+    "stop",
 ]
 
 VISITORS = VisitorsConfig(agents=3, steps=12)
@@ -137,6 +139,10 @@ class FaultyVisitors:
             case "kill parent":  # for a Ray worker, the daemon of its node
                 os.kill(os.getppid(), signal.SIGKILL)
                 time.sleep(60)
+            case "hang":
+                time.sleep(600)
+            case "stop":
+                os.kill(os.getpid(), signal.SIGSTOP)
             case "fork":
                 os.fork()
             case "exit":
@@ -278,10 +284,15 @@ def backend_of(name: str) -> BackendConfig:
 
 @contextmanager
 def collector_of(
-    plan: RolloutPlan, name: str = "process", workers: int = 2, notify: Notify = lambda line: None
+    plan: RolloutPlan,
+    name: str = "process",
+    workers: int = 2,
+    notify: Notify = lambda line: None,
+    patience_s: float | None = None,
 ) -> Iterator[Collector]:
     """Open a collector and close it at the end."""
-    collector = open_collector(backend_of(name), plan, workers, notify)
+    backend = replace(backend_of(name), patience_s=patience_s)
+    collector = open_collector(backend, plan, workers, notify)
     try:
         yield collector
     finally:

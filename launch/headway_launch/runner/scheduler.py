@@ -5,12 +5,14 @@ import signal
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from multiprocessing.connection import wait
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 from headway.contracts.errors import HeadwayError
-from headway.events import Event, Failed, Finished, Notice
+from headway.events import Event, Failed, Finished, Notice, Started
+from headway.rollout.workers.pace import Pace
 from headway_launch.console.progress import OVER
 from headway_launch.console.progress_display import Progress
 from headway_launch.runner.cores import CoreShares
@@ -20,6 +22,8 @@ from headway_launch.runner.training_process import Training
 _POLL_S = 0.2
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _SAME_REQUEST_S = 1.0
+_STOP_S = 10.0
+"""Least time for a training process to stop, s."""
 
 
 class StopRequests:
@@ -62,6 +66,45 @@ class StopRequests:
             self._counted_at = now
 
 
+@dataclass
+class _Running:
+    """A job with its training process."""
+
+    job: SessionJob
+    training: Training
+    heard_at: float = field(default_factory=time.monotonic)
+    """Time of its last event, s."""
+    pace: Pace = field(default_factory=Pace)
+    """Time between two events, without the start and intervals with a notice, of a replaced worker say."""
+    is_regular: bool = False
+    """The interval since the last event counts."""
+    is_noticed: bool = False
+    """The user has been told that it is silent."""
+    is_killed: bool = False
+
+    def hear(self, event: Event) -> None:
+        """Take note of an event."""
+        now = time.monotonic()
+        if self.is_regular and not isinstance(event, Notice | Started):
+            self.pace.add(now - self.heard_at)
+        self.heard_at, self.is_noticed, self.is_regular = now, False, not isinstance(event, Notice)
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds since its last event."""
+        return time.monotonic() - self.heard_at
+
+    @property
+    def stop_s(self) -> float:
+        """Seconds that it may take to stop: three times the longest time between two events."""
+        return max(_STOP_S, 3 * self.pace.longest_s)
+
+    def kill(self) -> None:
+        """Kill its processes."""
+        self.is_killed = True
+        self.training.kill()
+
+
 class Scheduler:
     """Runs the jobs of a session, `parallel` at a time. A failed job does not stop the others.
 
@@ -81,9 +124,10 @@ class Scheduler:
         self._jobs, self._shares = jobs, shares
         self._start_training, self._ended, self._tick = start, ended, tick
         self._waiting = list(jobs)
-        self._running: dict[int, tuple[SessionJob, Training]] = {}
+        self._running: dict[int, _Running] = {}
         """By identity of the job."""
-        self._asked_to_stop = False
+        self._asked_to_stop_at: float | None = None
+        """Time of the stop request, s."""
         self._killed = False
 
     def run(self) -> bool:
@@ -101,20 +145,21 @@ class Scheduler:
                     while self._waiting and len(self._running) < parallel and not requests.count:
                         self._start(self._waiting.pop(0), shown)
                     self._receive_events(shown)
+                    self._watch(shown)
                     self._handle_requests(requests, shown)
                     for line in self._tick():
                         shown.note(f"headway: {line}")
                     shown.show()
                 return requests.count > 0
         finally:
-            for _, training in self._running.values():
-                training.kill()
-                training.join()
+            for running in self._running.values():
+                running.kill()
+                running.training.join()
 
     def _start(self, job: SessionJob, shown: Progress) -> None:
         job.progress.status = "starting"
         try:
-            self._running[id(job)] = job, self._start_training(job)
+            self._running[id(job)] = _Running(job, self._start_training(job))
         except HeadwayError as error:
             self._take(job, Failed(str(error), traceback.format_exc()), shown)
 
@@ -122,19 +167,36 @@ class Scheduler:
         """Process the events that have arrived, after waiting up to `_POLL_S` for the first."""
         by_handle: dict[Any, int] = {
             handle: key
-            for key, (_, training) in self._running.items()
-            for handle in (training.connection, training.sentinel)
+            for key, running in self._running.items()
+            for handle in (running.training.connection, running.training.sentinel)
         }
         for key in {by_handle[handle] for handle in wait(list(by_handle), _POLL_S)}:
-            job, training = self._running[key]
-            while training.has_event():
-                event = training.receive()
+            running = self._running[key]
+            while running.training.has_event():
+                event = running.training.receive()
                 if event is None:
                     break
-                self._take(job, event, shown)
-            if training.has_ended():
+                running.hear(event)
+                self._take(running.job, event, shown)
+            if running.training.has_ended():
                 del self._running[key]
-                self._end(job, training, shown)
+                self._end(running, shown)
+
+    def _watch(self, shown: Progress) -> None:
+        """Tell the user of training processes that are silent; kill those that do not stop."""
+        for running in self._running.values():
+            name, silent, longest = running.job.progress.name, running.silent_s, running.pace.longest_s
+            if self._asked_to_stop_at is not None:
+                asked = time.monotonic() - self._asked_to_stop_at
+                if not running.is_killed and min(asked, silent) > running.stop_s:
+                    shown.note(f"{name} does not stop: killed; training after the last checkpoint is lost")
+                    running.kill()
+            elif silent > running.pace.limit_s and not running.is_noticed:
+                running.is_noticed = True
+                before = f"and for at most {longest:.1f} s before"
+                shown.note(
+                    f"{name} has been silent for {silent:.0f} s, {before}; it may hang: Ctrl-C stops it"
+                )
 
     def _take(self, job: SessionJob, event: Event, shown: Progress) -> None:
         job.take(event)
@@ -148,33 +210,34 @@ class Scheduler:
         if progress.status in OVER:
             self._ended(job)
 
-    def _end(self, job: SessionJob, training: Training, shown: Progress) -> None:
+    def _end(self, running: _Running, shown: Progress) -> None:
         """Deal with the end of a training process, which may have sent no final event."""
+        job, training, asked_to_stop = running.job, running.training, self._asked_to_stop_at is not None
         reason, progress = training.join(), job.progress
         if progress.status in OVER:
             return
-        if training.lost and not self._asked_to_stop and job.can_restart():
+        if training.lost and not asked_to_stop and job.can_restart():
             progress.status = "stopped"
             self._ended(job)
             job.plan_restart(self._shares)
             shown.note(f"headway: {progress.name}: {reason}; restarted from its last checkpoint, if any")
             progress.status = "waiting"
             self._waiting.insert(0, job)
-        elif self._killed or (training.lost and self._asked_to_stop):
+        elif running.is_killed or (training.lost and asked_to_stop):
             self._take(job, Finished(progress.iteration, stopped=True), shown)
         else:
             self._take(job, Failed(reason, ""), shown)
 
     def _handle_requests(self, requests: StopRequests, shown: Progress) -> None:
-        if requests.count and not self._asked_to_stop and self._running:
-            self._asked_to_stop = True
-            for _, training in self._running.values():
-                training.ask_to_stop()
+        if requests.count and self._asked_to_stop_at is None and self._running:
+            self._asked_to_stop_at = time.monotonic()
+            for running in self._running.values():
+                running.training.ask_to_stop()
             shown.note("stopping after this iteration, with a checkpoint; press Ctrl-C again to kill at once")
             requests.acknowledge()
         if requests.count > 1 and self._running:
             if not self._killed:
                 shown.note("killed; training after the last checkpoint is lost")
             self._killed = True
-            for _, training in self._running.values():
-                training.kill()
+            for running in self._running.values():
+                running.kill()

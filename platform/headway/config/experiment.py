@@ -114,6 +114,9 @@ class BackendConfig:
     worker_cpus: float | None = None
     """For `ray`: CPUs requested from the cluster per worker. null: 1, or 0 for `local`, where the session
     assigns the cores itself."""
+    patience_s: float | None = None
+    """Seconds that a worker may take for a rollout or an evaluation before it is replaced, as one that died
+    is. null: ten times the longest so far, at least 60."""
     learners: Literal["here", "cluster"] | None = None
     """For `ray`: `here`: runs train on this machine, with workers on the cluster; `cluster`: each run is
     placed on one node of the cluster, with its workers (`store.root` must be on a file system that all
@@ -127,6 +130,8 @@ class BackendConfig:
             self, "parallel", self.parallel is None or self.parallel >= 1, "must be at least 1, or null"
         )
         require_value(self, "stack", self.stack >= 1, "must be at least 1")
+        patience = self.patience_s
+        require_value(self, "patience_s", patience is None or patience > 0, "must be above 0, or null")
         is_address = self.address in ("auto", "local") or _HOST_AND_PORT.fullmatch(self.address) is not None
         require_value(self, "address", is_address, "must be auto, local or HOST:PORT")
         cpus = self.worker_cpus

@@ -26,16 +26,22 @@ class PoolContributors:
     in_turns = False
 
     def __init__(
-        self, plan: AsynchronousPlan, launcher: WorkerLauncher, evaluator: Collector, notify: Notify
+        self,
+        plan: AsynchronousPlan,
+        launcher: WorkerLauncher,
+        evaluator: Collector,
+        notify: Notify,
+        patience_s: float | None = None,
     ) -> None:
         """`evaluator` never begins training episodes. It is closed with this object or if the start fails."""
         self.plan, self.evaluator = plan, evaluator
         self.tasks: dict[int, Contribute] = {}
         """Current task by worker."""
         self.ready: deque[int] = deque()
-        """Workers that have answered or died, until their answer is received, in order of arrival."""
+        """Workers that have answered, died or taken too long, until their answer is received, in order."""
         try:
-            self.pool = WorkerPool(launcher, len(plan.shards), notify)
+            name = plan.rollout.spec.name
+            self.pool = WorkerPool(launcher, len(plan.shards), notify, name, patience_s)
         except BaseException:
             evaluator.close()
             raise

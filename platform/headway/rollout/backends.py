@@ -45,7 +45,7 @@ def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: No
     except BaseException:
         evaluator.close()
         raise
-    return PoolContributors(plan, launcher, evaluator, notify)
+    return PoolContributors(plan, launcher, evaluator, notify, backend.patience_s)
 
 
 def _open_evaluator(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
@@ -70,10 +70,11 @@ def _open(
     if name == "serial":
         return SerialCollector(plan)
     if name == "process":
-        return process_collector(plan, shards, notify)
+        return process_collector(plan, shards, notify, backend.patience_s)
     from headway.rollout.workers.ray_workers import RaySamplingTransport  # imports Ray, an optional extra
 
-    return PoolCollector(plan, RaySamplingTransport(backend, plan, shards, notify), len(shards), notify)
+    transport = RaySamplingTransport(backend, plan, shards, notify)
+    return PoolCollector(plan, transport, len(shards), notify, backend.patience_s)
 
 
 def _launcher(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> WorkerLauncher:

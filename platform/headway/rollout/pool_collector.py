@@ -33,10 +33,17 @@ class SamplingTransport(WorkerLauncher, Protocol):
 class PoolCollector:
     """A collector whose workers fill one trajectory, all with the same parameters."""
 
-    def __init__(self, plan: RolloutPlan, transport: SamplingTransport, number: int, notify: Notify) -> None:
+    def __init__(
+        self,
+        plan: RolloutPlan,
+        transport: SamplingTransport,
+        number: int,
+        notify: Notify,
+        patience_s: float | None = None,
+    ) -> None:
         self.plan, self.transport, self.trajectory = plan, transport, transport.trajectory
         try:
-            self.pool = WorkerPool(transport, number, notify)
+            self.pool = WorkerPool(transport, number, notify, plan.spec.name, patience_s)
         except BaseException:
             transport.close()
             raise

@@ -22,9 +22,11 @@ GRACE_S = 5.0
 """Seconds that workers may take to finish their command on closing, or to die after closing their pipe."""
 
 
-def process_collector(plan: RolloutPlan, shards: Sequence[Shard], notify: Notify) -> PoolCollector:
+def process_collector(
+    plan: RolloutPlan, shards: Sequence[Shard], notify: Notify, patience_s: float | None = None
+) -> PoolCollector:
     """Start one worker process per shard; all share one trajectory and one set of parameters."""
-    return PoolCollector(plan, SharedMemoryTransport(plan, shards), len(shards), notify)
+    return PoolCollector(plan, SharedMemoryTransport(plan, shards), len(shards), notify, patience_s)
 
 
 class ProcessLauncher:
@@ -95,6 +97,8 @@ class ProcessConnection:
 
     lost_with_machine = False
     """False: the worker runs on this machine."""
+    has_started = True
+    """True: it does not wait for free CPUs."""
 
     def __init__(self, process: ForkServerProcess, pipe: connection.Connection) -> None:
         self.process, self.pipe = process, pipe

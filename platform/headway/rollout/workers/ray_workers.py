@@ -243,6 +243,11 @@ class RayConnection:
         return self.place.process_id
 
     @property
+    def has_started(self) -> bool:
+        """Its place is known."""
+        return self.place is not None
+
+    @property
     def waitable(self) -> Any:  # noqa: ANN401 - Ray's reference
         """Ray's reference to the answer."""
         return self.answer_reference

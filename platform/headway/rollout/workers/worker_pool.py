@@ -1,14 +1,28 @@
 """A pool of workers on any launcher: sends commands, receives answers, replaces workers that fail."""
 
+import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from math import inf
 from typing import Any, Protocol
 
 from headway.contracts import HeadwayError
 from headway.events import Usage
 from headway.rollout.collector import restart_purpose
+from headway.rollout.workers.pace import LEAST_S, Pace
 from headway.rollout.workers.usage import cpu_seconds_of
-from headway.rollout.workers.worker import Begin, Command, CommandFailed, Done, Evaluate, Restore
+from headway.rollout.workers.worker import (
+    Begin,
+    Collect,
+    Command,
+    CommandFailed,
+    Contribute,
+    Done,
+    Evaluate,
+    Restore,
+)
 
 Notify = Callable[[str], None]
 
@@ -24,6 +38,11 @@ class WorkerConnection(Protocol):
     @property
     def lost_with_machine(self) -> bool:
         """The last `receive` found the worker's machine lost or unreachable."""
+        ...
+
+    @property
+    def has_started(self) -> bool:
+        """The worker runs, so that commands reach it; until then it may wait for free CPUs."""
         ...
 
     @property
@@ -81,6 +100,22 @@ class _Worker:
     """Failures of the workers that it replaced since the last executed command, except lost machines."""
     lost_machines: int = 0
     """Lost machines of the workers that it replaced since the last executed command."""
+    command: Command | None = None
+    """Command sent last."""
+    sent_at: float = 0.0
+    """Time of sending it, s (`time.monotonic`)."""
+    is_noticed: bool = False
+    """The user has been told that its first answer of this kind is late."""
+
+    def send(self, command: Command) -> None:
+        """Send a command."""
+        self.command, self.sent_at, self.is_noticed = command, time.monotonic(), False
+        self.link.send(command)
+
+    @property
+    def waited_s(self) -> float:
+        """Seconds since the last command was sent."""
+        return time.monotonic() - self.sent_at
 
     def update(self, command: Command, done: Done) -> None:
         """Update the state from the answer to a command."""
@@ -95,10 +130,20 @@ class _Worker:
 
 
 class WorkerPool:
-    """Workers, one per shard, that execute commands and are replaced when they fail."""
+    """Workers, one per shard, that execute commands and are replaced when they fail or do not answer."""
 
-    def __init__(self, launcher: WorkerLauncher, number: int, notify: Notify) -> None:
-        self.launcher, self.notify = launcher, notify
+    def __init__(
+        self,
+        launcher: WorkerLauncher,
+        number: int,
+        notify: Notify,
+        environment: str = "the environment",
+        patience_s: float | None = None,
+    ) -> None:
+        """`environment`: its name, for notices. `patience_s`: see `BackendConfig`."""
+        self.launcher, self.notify, self.environment = launcher, notify, environment
+        self.paces: defaultdict[type[Command], Pace] = defaultdict(partial(Pace, patience_s))
+        """Time that the answers to each kind of command take."""
         self.lost_cpu_seconds = 0.0
         """CPU seconds of workers that were replaced."""
         self.restart_purpose = restart_purpose(0)
@@ -119,12 +164,58 @@ class WorkerPool:
 
     def send(self, shard: int, command: Command) -> None:
         """Send a command to one worker."""
-        self.workers[shard].link.send(command)
+        self.workers[shard].send(command)
 
     def answered(self, shards: Sequence[int], timeout_s: float | None) -> list[int]:
-        """Return which of the workers have answered or died, in order; see `WorkerLauncher.wait`."""
+        """Return which of the workers have answered, died or taken too long, in order.
+
+        At least one, or none after the timeout; None: no timeout.
+        """
         waitables = {self.workers[shard].link.waitable: shard for shard in shards}
-        return sorted(waitables[ready] for ready in self.launcher.wait(list(waitables), timeout_s))
+        until = inf if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            left = min(until - time.monotonic(), *map(self._notice_in_s, shards))
+            wait_s = None if left == inf else max(left, 0)
+            found = {waitables[ready] for ready in self.launcher.wait(list(waitables), wait_s)}
+            found |= {shard for shard in shards if self._is_overdue(shard)}
+            if found or time.monotonic() >= until:
+                return sorted(found)
+
+    def _is_overdue(self, shard: int) -> bool:
+        """Return whether a worker has taken too long; notify if it is late and no limit is known yet."""
+        worker = self.workers[shard]
+        if worker.command is None or not worker.link.has_started:
+            return False
+        limit, waited = self.paces[type(worker.command)].limit_s, worker.waited_s
+        if limit == inf and waited >= LEAST_S and not worker.is_noticed:
+            worker.is_noticed = True
+            doing = self._doing(worker.command)
+            self.notify(f"worker {shard} has not answered for {waited:.0f} s while {doing}; it may hang")
+        return waited >= limit
+
+    def _notice_in_s(self, shard: int) -> float:
+        """Return the seconds until a worker is overdue or a notice of it is due."""
+        worker = self.workers[shard]
+        if worker.command is None or not worker.link.has_started:
+            return inf
+        limit = self.paces[type(worker.command)].limit_s
+        if limit == inf and not worker.is_noticed:
+            limit = LEAST_S
+        return limit - worker.waited_s
+
+    def _doing(self, command: Command) -> str:
+        """Return what a worker does, for notices."""
+        match command:
+            case Begin():
+                return f"starting episodes of {self.environment}"
+            case Restore():
+                return f"restoring {self.environment}"
+            case Collect(iteration=iteration):
+                return f"stepping {self.environment} in iteration {iteration}"
+            case Evaluate():
+                return f"evaluating on {self.environment}"
+            case Contribute(number=number):
+                return f"stepping {self.environment} for contribution {number}"
 
     def process_ids(self) -> list[int]:
         """Return the ids of the worker processes on this machine."""
@@ -160,19 +251,33 @@ class WorkerPool:
         Errors are those of `answer`.
         """
         worker = self.workers[shard]
-        answer = worker.link.receive()
+        answer = self._answer_of(shard)
         if isinstance(answer, Done):
             worker.update(worker.pending.pop(0) if worker.pending else command, answer)
             if not worker.pending:
                 worker.failures = worker.lost_machines = 0
                 return answer
-            worker.link.send(worker.pending[0])
+            worker.send(worker.pending[0])
             return None
         if isinstance(answer, CommandFailed) and answer.is_user_error:
             raise HeadwayError(answer.line)
         self._require_replaceable(shard, answer)
         self._replace(shard, command, answer)
         return None
+
+    def _answer_of(self, shard: int) -> Done | CommandFailed | str:
+        """Wait for a worker's answer; return it, or how the worker was lost."""
+        worker = self.workers[shard]
+        link, command = worker.link, worker.command
+        assert command is not None
+        if link.has_started:  # else `receive` waits for the start
+            self.answered([shard], None)
+            if self._is_overdue(shard) and not self.launcher.wait([link.waitable], 0):
+                return f"no answer for {worker.waited_s:.0f} s while {self._doing(command)}"
+        answer = link.receive()
+        if isinstance(answer, Done):
+            self.paces[type(command)].add(worker.waited_s)
+        return answer
 
     def _require_replaceable(self, shard: int, answer: CommandFailed | str) -> None:
         worker, no_traceback = self.workers[shard], "the worker left no traceback"
@@ -203,7 +308,7 @@ class WorkerPool:
         restarts = any(isinstance(step, Begin) for step in worker.pending)
         consequence = "its episodes start again" if restarts else "repeating its part from the last snapshot"
         self.notify(f"worker {shard} failed ({reason}); replaced, {consequence}")
-        worker.link.send(worker.pending[0])
+        worker.send(worker.pending[0])
 
 
 class WorkerFailedError(HeadwayError):

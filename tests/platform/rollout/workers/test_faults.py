@@ -38,8 +38,14 @@ def _plan(folder: Path, fault: Fault = "kill", **choices: Any) -> RolloutPlan:  
     return plan_of(FaultyVisitors, config)
 
 
-def _taken(plan: RolloutPlan, notices: list[str] | None = None, iterations: int = 3) -> list[Taken]:
-    with collector_of(plan, workers=2, notify=notices.append if notices is not None else print) as collector:
+def _taken(
+    plan: RolloutPlan,
+    notices: list[str] | None = None,
+    iterations: int = 3,
+    patience_s: float | None = None,
+) -> list[Taken]:
+    notify = notices.append if notices is not None else print
+    with collector_of(plan, workers=2, notify=notify, patience_s=patience_s) as collector:
         collector.begin()
         return iterations_of(collector, parameters_of(plan), 1, iterations)
 
@@ -84,6 +90,24 @@ def test_a_worker_that_fails_in_mid_iteration_does_not_change_the_data(
     assert len(notices) == 1
     assert reason in notices[0]
     assert "from the last snapshot" in notices[0]
+
+
+@pytest.mark.parametrize("fault", ["hang", "stop"])
+def test_a_worker_that_hangs_in_mid_iteration_does_not_change_the_data(
+    tmp_path: Path, undisturbed: list[Taken], fault: Fault
+) -> None:
+    """Its `step` does not return, or the process is suspended."""
+    assert_same(undisturbed, _taken(_plan(tmp_path, fault), notices := [], patience_s=2.0))
+    [notice] = notices
+    assert "failed (no answer for 2 s while stepping faulty in iteration 2); replaced, repeating" in notice
+
+
+def test_a_worker_that_hangs_twice_ends_the_run_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(
+        WorkerFailedError, match=r"failed twice \(no answer for 1 s while stepping faulty"
+    ) as it:
+        _taken(_plan(tmp_path, "hang", times=9), [], patience_s=1.0)
+    _one_line(it.value)
 
 
 def test_an_environment_that_forks_in_mid_iteration_does_not_change_the_data(

@@ -19,6 +19,7 @@ class _Scripted:
     process_id = None
     waitable = None
     lost_with_machine = False
+    has_started = True
 
     def __init__(self, answers: Iterator[Done | str]) -> None:
         self._answers = answers
