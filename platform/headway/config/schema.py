@@ -27,6 +27,10 @@ _MAX_NAMES, _NEAREST_NAMES = 30, 8
 line."""
 _MIN_PREFIX = 3
 """Length from which the beginning of a name is matched as an abbreviation."""
+_MOST = 2**63 - 1
+"""Largest whole number: that of databases and of numpy."""
+_MAX_SEEDS, _SHOWN = 10_000, 1000
+"""Most seeds of one range; characters of a value in which long numbers are looked for."""
 _SEED_FORMS = "write 7, 0,1,2, [0,1], 0..49 or range(0,50)"
 
 
@@ -119,8 +123,10 @@ def refuse_targets(value: object, path: str = "") -> None:
 def parse_seeds(value: object, path: str = "seed") -> tuple[int, ...]:
     """Return the seeds written as `7`, `0,1,2`, `[0,1]`, `0..49` (inclusive) or `range(0,50)` (end excluded).
 
-    Raises HeadwayError for any other form.
+    Raises HeadwayError for any other form, a seed of more than 18 digits, and more than 10,000 seeds.
     """
+    if re.search(r"\d{19}", str(value)[:_SHOWN]):
+        raise HeadwayError(f"{path}={str(value)[:24]}... has more than 18 digits; give smaller seeds")
     if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
         return (value,)
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
@@ -131,11 +137,11 @@ def parse_seeds(value: object, path: str = "seed") -> tuple[int, ...]:
             first, last = int(span[1]), int(span[2])
             if last < first:
                 raise HeadwayError(f"{path}={value} ends before it begins; did you mean {last}..{first}?")
-            return tuple(range(first, last + 1))
+            return _few_seeds(range(first, last + 1), value, path)
         if bounds := _RANGE.fullmatch(text):
-            seeds = tuple(range(int(bounds[1]), int(bounds[2]), max(1, int(bounds[3] or 1))))
+            seeds = range(int(bounds[1]), int(bounds[2]), max(1, int(bounds[3] or 1)))
             if seeds:
-                return seeds
+                return _few_seeds(seeds, value, path)
         elif "," in text:
             return tuple(seed for part in text.split(",") for seed in parse_seeds(part, path))
         elif re.fullmatch(r"\d+", text):
@@ -143,6 +149,12 @@ def parse_seeds(value: object, path: str = "seed") -> tuple[int, ...]:
     if _NEGATIVE.match(str(value)):
         raise HeadwayError(f"{path}={value}: seeds must not be negative; {_SEED_FORMS}")
     raise HeadwayError(f"{path}={value} is not a list of seeds; {_SEED_FORMS}")
+
+
+def _few_seeds(seeds: range, value: object, path: str) -> tuple[int, ...]:
+    if len(seeds) > _MAX_SEEDS:
+        raise HeadwayError(f"{path}={value} is {len(seeds):,} seeds; give at most {_MAX_SEEDS:,}")
+    return tuple(seeds)
 
 
 @dataclass(frozen=True)
@@ -252,11 +264,13 @@ def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any anno
 
 def _convert_scalar(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if is_number and isinstance(value, int) and abs(value) > _MOST:
+        raise HeadwayError(f"{key} is a whole number beyond 2^63; give a smaller one")
     if hint is float and is_number:
         if isnan(value):
             raise HeadwayError(f"{key} must be a number, not {value}")
         return float(value)
-    if hint is int and is_number and float(value).is_integer():
+    if hint is int and is_number and abs(value) <= _MOST and float(value).is_integer():
         return int(value)
     if hint is NoneType and value is None:
         return None

@@ -55,13 +55,20 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON object. Raises HeadwayError if the file is missing, unreadable or holds no JSON object."""
+    require_regular(path)
     try:
         content = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise HeadwayError(f"{path} cannot be read ({_reason(error)}): remove or repair it") from error
     if not isinstance(content, dict):
         raise HeadwayError(f"{path} holds no JSON object: remove or repair it")
     return content
+
+
+def require_regular(path: Path) -> None:
+    """Raise HeadwayError for a pipe or a device: reading it would never end."""
+    if path.exists() and not path.is_file():
+        raise HeadwayError(f"{path} is not a regular file: remove it")
 
 
 def make_folder(path: Path) -> None:

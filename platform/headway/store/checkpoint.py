@@ -169,6 +169,8 @@ def _load(path: Path) -> dict[str, Any]:
 
     import torch
 
+    if not path.is_file():
+        raise ValueError("it is not a regular file")
     content = path.read_bytes()
     header = len(_MAGIC) + hashlib.sha256().digest_size
     if not content.startswith(_MAGIC):

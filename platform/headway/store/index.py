@@ -173,7 +173,10 @@ def _row(folder: Path) -> RunRow:
 
 def _number(summary: Mapping[str, Any], name: str) -> float | None:
     value = summary.get(name)
-    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+    try:
+        return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+    except OverflowError:  # a whole number beyond all floats
+        return None
 
 
 def _settled(row: RunRow) -> RunRow:

@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING, Any, Literal, get_args
 
 from headway.contracts import HeadwayError
 from headway.events import Row
-from headway.store.atomic_files import make_folder, remove_partial, sync_folder
+from headway.store.atomic_files import make_folder, remove_partial, require_regular, sync_folder
 from headway.store.fencing import discard, write_through
 
 if TYPE_CHECKING:
@@ -133,13 +133,14 @@ def _tables(
     for _, iteration, path in _segments(directory, table):
         if iteration <= after:
             continue
+        require_regular(path)
         try:
             segment = pq.ParquetFile(path)
             known = [name for name in columns or () if name in segment.schema_arrow.names]
             tables.append(segment.read(None if columns is None else known))
         except FileNotFoundError:
             continue  # removed by a rewind since the folder was listed
-        except (OSError, pa.ArrowInvalid) as error:
+        except (OSError, pa.ArrowException) as error:
             raise HeadwayError(f"{path} cannot be read as Parquet: remove it to use the rest") from error
     return tables
 

@@ -21,6 +21,7 @@ from typing import Any, Literal, Self, get_args
 import psutil
 
 from headway.config.experiment import StoreConfig
+from headway.config.schema import build
 from headway.contracts import HeadwayError
 from headway.store.atomic_files import make_folder, read_json, write_json
 
@@ -134,12 +135,13 @@ class RunRecord:
         content = read_json(directory / RECORD)
         known = {item.name for item in fields(cls)}
         try:
-            session = Process(**content.pop("session"))
-            return cls(session=session, **{key: value for key, value in content.items() if key in known})
-        except (KeyError, TypeError) as error:
+            record = build(cls, {key: value for key, value in content.items() if key in known})
+            milliseconds(record.started)
+        except (HeadwayError, ValueError, OverflowError) as error:
             raise HeadwayError(
-                f"{directory / RECORD} is not a valid run record: remove or repair it"
+                f"{directory / RECORD} is not a valid run record ({error}): remove or repair it"
             ) from error
+        return record
 
 
 def now() -> str:

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from small_runs import SMALL, end_as
 
-from headway.contracts import Box, EnvSpec
+from headway.contracts import Box, EnvSpec, HeadwayError
 from headway.store.parquet_log import read_rows
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.commands.main import run
 from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
-from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
+from headway_launch.runner.stored_run import StoredRun, jobs_to_resume, read_configuration
 
 TINY = (
     "run", "env=tracking", "algo=ippo", *SMALL, "backend=serial", "env.args.steps=8", "env_steps=256",
@@ -33,6 +33,13 @@ def _earlier_version() -> Iterator[None]:
         plan = json.loads(path.read_text())
         del plan["scaled_actions"]
         path.write_text(json.dumps(plan))
+
+
+@pytest.mark.parametrize("piece", ["[", "[ ", "- ", "{a: "])
+def test_a_configuration_nested_without_end_is_one_line(piece: str, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(piece * 100_000)
+    with pytest.raises(HeadwayError, match="it is nested more than 100 levels deep"):
+        read_configuration(tmp_path)
 
 
 def _only_run() -> StoredRun:

@@ -80,6 +80,9 @@ def test_a_plain_record_builds_the_same_record_again() -> None:
         ({"inner": 3}, ["algo.inner=3 is a whole number, where a mapping of keys is wanted"]),
         ({"inner": {"share": 2}}, ["algo.inner.share must be between 0 and 1, not 2.0"]),
         ({"inner": {"window": [2, 1]}}, ["algo.inner: the window ends before it begins"]),
+        ({"epochs": 10**400}, ["algo.epochs is a whole number beyond 2^63"]),
+        ({"epochs": 1e300}, ["algo.epochs=1e+300 is a number, where a whole number is wanted"]),
+        ({"lr": 10**400}, ["algo.lr is a whole number beyond 2^63"]),
         ({"lr": NAN}, ["algo.lr must be a number, not nan"]),
         ({"limit": NAN}, ["algo.limit must be a number, not nan"]),
         ({"extra": {"a": NAN}}, ["algo.extra.a must be a number, not nan"]),
@@ -145,6 +148,20 @@ def test_seed_forms(value: object, seeds: tuple[int, ...]) -> None:
 @pytest.mark.parametrize("value", ["a", "", "-1", -1, "1..", "range(3,3)", 1.5, True, None, "0;1"])
 def test_seeds_of_unknown_form_list_the_forms(value: object) -> None:
     with pytest.raises(HeadwayError, match=r"0\.\.49"):
+        parse_seeds(value)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("0..300000", "seed=0..300000 is 300,001 seeds; give at most 10,000"),
+        ("range(0,10001)", "is 10,001 seeds"),
+        ("9" * 5000, "seed=9{24}... has more than 18 digits; give smaller seeds"),
+        (10**19, "has more than 18 digits"),
+    ],
+)
+def test_too_many_and_too_large_seeds_are_refused(value: object, message: str) -> None:
+    with pytest.raises(HeadwayError, match=message):
         parse_seeds(value)
 
 

@@ -84,6 +84,14 @@ def test_objects_with_code_are_refused(tmp_path: Path) -> None:
         save_checkpoint(tmp_path, 1, {"env": [tmp_path]})
 
 
+def test_a_device_in_the_place_of_a_checkpoint_is_skipped(tmp_path: Path) -> None:
+    save_checkpoint(tmp_path, 20, _state())
+    (tmp_path / "checkpoint-000040.pt").symlink_to("/dev/zero")
+    iteration, _, notices = load_latest(tmp_path)
+    assert iteration == 20
+    assert "it is not a regular file" in notices[0]
+
+
 def test_a_pickle_with_a_right_checksum_is_not_loaded(tmp_path: Path) -> None:
     """And torch's advice to load it unsafely is not passed on."""
     save_checkpoint(tmp_path, 20, _state())

@@ -1,6 +1,7 @@
 """The summary index matches the run folders, even after it was damaged."""
 
 import json
+import os
 import shutil
 import sqlite3
 import subprocess
@@ -84,6 +85,53 @@ def test_a_broken_record_is_a_notice(tmp_path: Path) -> None:
     (broken / "run.json").write_text(json.dumps({"run_id": "x"}))
     index.rows()
     assert "is not a valid run record" in index.notices[0]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seed": 10**400},
+        {"seed": "three"},
+        {"session": None},
+        {"status": "DONE"},
+        {"started": "yesterday"},
+        {"parameters": {"algo.lr": 1}},
+    ],
+)
+def test_a_record_with_a_wrong_value_is_a_notice(tmp_path: Path, change: dict[str, object]) -> None:
+    """And the other runs stay listed."""
+    _run(tmp_path, 0)
+    broken = _run(tmp_path, 1) / "run.json"
+    broken.write_text(json.dumps(json.loads(broken.read_text()) | change))
+    index = RunIndex(tmp_path)
+    assert [row.seed for row in index.rows()] == [0]
+    [notice] = index.notices
+    assert f"{broken} is not a valid run record (" in notice
+    assert next(iter(change)) in notice or "isoformat" in notice
+
+
+@pytest.mark.parametrize("name", ["run.json", "summary.json"])
+@pytest.mark.parametrize("damage", ["nested", "pipe", "device"])
+def test_a_file_that_cannot_be_read_to_its_end_is_a_notice(tmp_path: Path, name: str, damage: str) -> None:
+    _run(tmp_path, 0)
+    path = _run(tmp_path, 1) / name
+    path.unlink()
+    if damage == "nested":
+        path.write_text("[" * 100_000)
+    elif damage == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    index = RunIndex(tmp_path)
+    assert [row.seed for row in index.rows()] == [0]
+    assert [str(path) in notice for notice in index.notices] == [True]
+
+
+def test_a_figure_beyond_all_floats_is_left_out(tmp_path: Path) -> None:
+    folder = _run(tmp_path, 0)
+    (folder / "summary.json").write_text(json.dumps({"final_reward": 10**400, "auc": 1.0}))
+    [row] = RunIndex(tmp_path).rows()
+    assert (row.final_reward, row.auc) == (None, 1.0)
 
 
 def test_a_query_reads_only_changed_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 import csv
 import io
 import zipfile
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -42,6 +43,10 @@ _OPTIONAL = {
 """Optional files and columns that are read if present."""
 
 
+_MAX_BYTES = 8 * 2**30
+"""Most bytes that a feed's files may unpack to."""
+
+
 @dataclass(frozen=True)
 class Feed:
     """Data frames of text by file, with blanks as missing values and all columns of REQUIRED and _OPTIONAL.
@@ -65,16 +70,11 @@ def read_feed(path: Path) -> Feed:
     if path.is_dir():
         inside = _locate_files(path, [file.relative_to(path).as_posix() for file in path.rglob("*.txt")])
         frames = {
-            name: _read_frame(name, (path / inside[name]).read_bytes() if name in inside else None)
+            name: _read_frame(name, _content(path / inside[name]) if name in inside else None)
             for name in {**REQUIRED, **_OPTIONAL}
         }
     elif path.is_file() and zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            inside = _locate_files(path, archive.namelist())
-            frames = {
-                name: _read_frame(name, archive.read(inside[name]) if name in inside else None)
-                for name in {**REQUIRED, **_OPTIONAL}
-            }
+        frames = _read_zip(path)
     else:
         what = "is not a zip file" if path.is_file() else "does not exist"
         raise HeadwayError(f"FEED: {path} {what}; give a GTFS feed, as a zip or a folder of .txt files")
@@ -84,6 +84,32 @@ def read_feed(path: Path) -> Feed:
     if frames["calendar"].empty and frames["calendar_dates"].empty:
         raise HeadwayError("FEED: neither calendar.txt nor calendar_dates.txt has rows; no day has service")
     return Feed(path.name, frames)
+
+
+def _content(path: Path) -> bytes:
+    """Return a file's content. Raises HeadwayError for a pipe or a device, which never ends."""
+    if not path.is_file():
+        raise HeadwayError(f"FEED: {path} is not a regular file; remove it")
+    return path.read_bytes()
+
+
+def _read_zip(path: Path) -> dict[str, pd.DataFrame]:
+    """Return the files of a zip. Raises HeadwayError if it is damaged, encrypted or unpacks to too much."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            inside = _locate_files(path, archive.namelist())
+            size = sum(archive.getinfo(name).file_size for name in inside.values())
+            if size > _MAX_BYTES:
+                raise HeadwayError(
+                    f"FEED: {path} unpacks to {size / 2**30:.0f} GiB, more than {_MAX_BYTES // 2**30}; "
+                    "leave out what is not needed"
+                )
+            return {
+                name: _read_frame(name, archive.read(inside[name]) if name in inside else None)
+                for name in {**REQUIRED, **_OPTIONAL}
+            }
+    except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError, OSError) as error:
+        raise HeadwayError(f"FEED: {path} is a damaged or encrypted zip ({error}); fetch it again") from error
 
 
 def seconds(file: str, column: str, texts: "pd.Series[str]") -> Floats:

@@ -226,10 +226,10 @@ def _frequencies(feed: Feed, trips: pd.DataFrame, first: Floats) -> pd.DataFrame
     begin = seconds("frequencies", "start_time", frame["start_time"])
     end = seconds("frequencies", "end_time", frame["end_time"])
     every = numbers("frequencies", "headway_secs", frame["headway_secs"])
-    wrong = np.flatnonzero((row >= 0) & ~((every > 0) & (end >= begin)))
+    wrong = np.flatnonzero((row >= 0) & ~((every >= 1) & (end >= begin)))
     if len(wrong):
         raise HeadwayError(
-            f"FEED: frequencies.txt, line {wrong[0] + 2}: headway_secs must be above 0 and end_time not "
+            f"FEED: frequencies.txt, line {wrong[0] + 2}: headway_secs must be at least 1 and end_time not "
             "before start_time"
         )
     found = [

@@ -1,6 +1,7 @@
 """Scenarios from GTFS feeds: all that the standard allows is read correctly, and errors are named."""
 
 import datetime as dt
+import os
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -310,7 +311,10 @@ def test_passengers_arrive_when_buses_run(write_feed: FeedWriter) -> None:
         ({"stop_times": TIMES + "out,8h,A,1\n"}, "stop_times.txt, line 2, arrival_time: '8h' is not a time"),
         ({"stop_times": TIMES + "out,08:00:00,A,1\n"}, "no trip of the chosen days has two calls"),
         ({"stop_times": TIMES + "out,8\n"}, "is not a table of comma-separated"),
-        ({"frequencies": FREQUENCIES + "out,06:00:00,07:00:00,0\n"}, "line 2: headway_secs must be above 0"),
+        (
+            {"frequencies": FREQUENCIES + "out,06:00:00,07:00:00,0.001\n"},
+            "line 2: headway_secs must be at lea",
+        ),
         ({"calendar_dates": DATES + "work,2024-05-07,1\n"}, "line 2, date: '2024-05-07' is not a date YYYYM"),
     ],
 )
@@ -329,6 +333,42 @@ def test_other_wrong_feeds_and_lines_are_named(write_feed: FeedWriter, tmp_path:
         imported(tmp_path / "no.zip")
     with pytest.raises(HeadwayError, match="the feed has no line 7; it has 1, "):
         imported(write_feed(), lines=("7",))
+
+
+def test_a_damaged_zip_is_one_line(write_feed: FeedWriter, tmp_path: Path) -> None:
+    path = tmp_path / "feed.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in write_feed().iterdir():
+            archive.write(file, file.name)
+    whole = path.read_bytes()
+    name = whole.index(b"stop_times.txt") + len("stop_times.txt")
+    path.write_bytes(whole[: name + 5] + bytes([whole[name + 5] ^ 0xFF]) + whole[name + 6 :])
+    with pytest.raises(HeadwayError, match="is a damaged or encrypted zip"):
+        imported(path)
+
+
+def test_a_zip_that_unpacks_to_too_much_is_not_unpacked(
+    write_feed: FeedWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("headway_envs.bus.scenario.gtfs.feed._MAX_BYTES", 2**30)
+    path = tmp_path / "feed.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in write_feed().iterdir():
+            archive.write(file, file.name)
+    size = (1 << 31).to_bytes(4, "little")
+    whole = bytearray(path.read_bytes())
+    entry = whole.rindex(b"stop_times.txt") - 46  # in the central directory, which states the sizes
+    whole[entry + 24 : entry + 28] = size
+    path.write_bytes(whole)
+    with pytest.raises(HeadwayError, match="unpacks to 2 GiB, more than 1; leave out what is not needed"):
+        imported(path)
+
+
+def test_a_pipe_in_a_feed_is_not_read(write_feed: FeedWriter) -> None:
+    folder = write_feed(agency=None)
+    os.mkfifo(folder / "agency.txt")
+    with pytest.raises(HeadwayError, match=r"agency\.txt is not a regular file"):
+        imported(folder)
 
 
 def test_files_of_two_feeds_are_not_mixed(write_feed: FeedWriter, tmp_path: Path) -> None:
