@@ -18,6 +18,23 @@ PROJECT = Path(__file__).resolve().parents[2]
 GUIDE = (PROJECT / "launch" / "EXTENDING.md").read_text(encoding="utf-8")
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _MARK = "-- exit code"
+_IN_ONE_PROCESS = f"""
+import os, shlex, subprocess, sys
+from headway_launch.commands.main import run
+
+def execute(line):
+    words = shlex.split(os.path.expandvars(line))
+    if words[0] == "export":
+        name, value = words[1].split("=", 1)
+        os.environ[name] = value
+        return 0
+    return run(words[1:]) if words[0] == "headway" else subprocess.run(words).returncode
+
+for line in sys.argv[1:]:
+    code = execute(line)
+    print("{_MARK}", code, flush=True)
+"""
+"""Executes the lines of a shell that it is given, without starting a process for each `headway`."""
 _BOTH_FORMS = """
 import numpy as np
 from crossing.envs import ENTRIES
@@ -95,11 +112,11 @@ def environment(package: Path, tmp_path_factory: pytest.TempPathFactory) -> Mapp
 
 @pytest.fixture(scope="module")
 def printed(package: Path, environment: Mapping[str, str]) -> list[tuple[int, str]]:
-    """Exit code and output of every command, run one after another in one shell."""
-    script = "".join(f'{command.line}\necho "{_MARK} $?"\n' for command in COMMANDS)
+    """Exit code and output of every command, run one after another in one process, which imports once."""
     done = subprocess.run(
-        ["bash", "-c", f"exec 2>&1\n{script}"],
-        cwd=package, env=environment, stdout=subprocess.PIPE, text=True, check=True, timeout=300,
+        [sys.executable, "-c", _IN_ONE_PROCESS, *(command.line for command in COMMANDS)],
+        cwd=package, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True,
+        timeout=300,
     )  # fmt: skip
     pieces = re.split(rf"^{_MARK} (\d+)\n", done.stdout, flags=re.MULTILINE)
     return [(int(code), text.strip()) for text, code in zip(pieces[::2], pieces[1::2], strict=False)]

@@ -4,7 +4,7 @@ import os
 import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import TextIO
 
@@ -15,6 +15,13 @@ def print_line(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
     except OSError:
         silence(sys.stderr)
+
+
+@contextmanager
+def prints_to_stderr() -> Iterator[None]:
+    """Send what an environment prints to stderr: stdout holds results only."""
+    with redirect_stdout(sys.stderr):
+        yield
 
 
 def own_name() -> str:

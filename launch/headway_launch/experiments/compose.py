@@ -26,7 +26,7 @@ from headway.contracts.errors import HeadwayError, UnknownKeyError
 from headway.environments import chosen_env, notices_of
 from headway.registry import algo_entries, algo_entry, is_module_path, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
-from headway_launch.console.output import print_line
+from headway_launch.console.output import print_line, prints_to_stderr
 from headway_launch.experiments.options import NO_ENV, configs_folder, options, store_registered
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2})(?P<key>[^=+~]+)=(?P<value>.*)", re.DOTALL)
@@ -118,6 +118,7 @@ class Experiment:
             [self.config.env.id, self.env_mapping, args, self.rules], sort_keys=True, default=str
         )
 
+    @prints_to_stderr()
     def _prepare_environment(self) -> PreparedEnv:
         for rule in self.rules:
             if rule not in self.env.rules:

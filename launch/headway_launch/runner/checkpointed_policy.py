@@ -13,6 +13,7 @@ from headway.rollout.episodes import EvaluationRequest, OnStep, evaluate_policy,
 from headway.rollout.plan import RolloutPlan
 from headway.store.checkpoint import load_latest, require_usable
 from headway.store.run_folder import CHECKPOINTS
+from headway_launch.console.output import prints_to_stderr
 from headway_launch.experiments.compose import PreparedEnv
 from headway_launch.runner.stored_run import StoredRun
 
@@ -48,6 +49,7 @@ def newest_policy(run: StoredRun, environment: PreparedEnv) -> TrainedPolicy:
     return TrainedPolicy(plan, parameters, iteration)
 
 
+@prints_to_stderr()
 def policy_episodes(
     policy: TrainedPolicy,
     root: int,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS, Row
-from headway_launch.console.output import print_line
+from headway_launch.console.output import print_line, prints_to_stderr
 from headway_launch.console.tables import Value, print_table
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ def _refusal(environment: "PreparedEnv", rule: str) -> str | None:
     return None
 
 
+@prints_to_stderr()
 def rule_episodes(
     experiment: "Experiment",
     prepared: object,

@@ -136,6 +136,7 @@ class TrainingProcess(Training):
 
 def _run(connection: Connection) -> None:
     os.setpgid(0, 0)
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what environments print is no result
     for number in _SIGNALS:
         # Not SIG_IGN: workers would inherit it and could not be terminated.
         signal.signal(number, lambda *_: None)
@@ -147,7 +148,6 @@ def _run(connection: Connection) -> None:
     except (BrokenPipeError, EOFError):
         _end_group()
     connection.close()
-    sys.stdout.flush()
 
 
 def train_and_report(job: "TrainingJob", report: Report, should_stop: ShouldStop) -> None:

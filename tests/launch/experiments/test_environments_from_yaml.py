@@ -48,6 +48,51 @@ def test_a_pettingzoo_environment_composes_by_its_module() -> None:
     assert "wrappers" not in full_mapping(experiment, [0])["env"]
 
 
+_LOUD = """
+from scripted import Scripted
+
+class parallel_env(Scripted):
+    metadata = {"name": "loud"}
+
+    def __init__(self):
+        print("beep: made")
+        super().__init__()
+
+    def reset(self, seed=None, options=None):
+        print("beep: reset")
+        return super().reset(seed, options)
+
+    def step(self, actions):
+        print("beep: step", flush=True)
+        return super().step(actions)
+"""
+
+
+@pytest.mark.slow
+def test_what_an_environment_prints_is_not_among_the_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Neither from workers, nor from the session, which makes it and evaluates it again."""
+    metadata = "Metadata-Version: 2.1\nName: loud\nVersion: 1.0\nRequires-Dist: pettingzoo\n"
+    files = {"METADATA": metadata, "RECORD": "loud/__init__.py,,\n"}
+    for folder, contents in (
+        ("loud", {"__init__.py": "", "street.py": _LOUD}),
+        ("loud-1.0.dist-info", files),
+    ):
+        (tmp_path / folder).mkdir()
+        for name, text in contents.items():
+            (tmp_path / folder / name).write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    words = ("env=loud.street", "seed=0", *TINY, "backend=process", "rollout.block=2")
+    assert run(["run", *words]) == 0
+    [row] = _runs()
+    assert run(["evaluate", row.run_id]) == 0
+    shown = capfd.readouterr()
+    assert "beep" not in shown.out
+    assert "FINISHED" in shown.out
+    assert {f"beep: {what}" for what in ("made", "reset", "step")} <= set(shown.err.splitlines())
+
+
 @pytest.mark.parametrize("environment", [("env=trivial",), SPREAD], ids=["native", "PettingZoo"])
 def test_wrappers_are_stored_and_distinguish_cells(environment: tuple[str, ...]) -> None:
     plain, wrapped = compose([*environment, "algo=ippo"]), compose([*environment, "algo=ippo", STACK])
