@@ -7,14 +7,30 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import TextIO
+from unicodedata import category
 
 
 def print_line(line: str) -> None:
-    """Print a line on stderr; write errors are ignored, now and later."""
+    """Print a line on stderr, `visible`; write errors are ignored, now and later."""
     try:
-        print(line, file=sys.stderr, flush=True)
+        print(visible(line), file=sys.stderr, flush=True)
     except OSError:
         silence(sys.stderr)
+
+
+def visible(text: str) -> str:
+    """Write control and format characters, other than line breaks and tabs, as escapes.
+
+    They could otherwise change the terminal, or what a reader sees of the line.
+    """
+    return "".join(
+        char.encode("unicode_escape").decode() if _is_control(char) and char not in "\n\t" else char
+        for char in text
+    )
+
+
+def _is_control(char: str) -> bool:
+    return category(char) in ("Cc", "Cf", "Cs")
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from headway_launch.console.output import print_line, silence
+from headway_launch.console.output import print_line, silence, visible
 from headway_launch.console.progress import ACTIVE, ENDED, JobProgress, Status, duration, overall, seeds_with
 
 if TYPE_CHECKING:
@@ -62,11 +62,12 @@ class _InPlace(ABC):
 
     def note(self, line: str) -> None:
         """Print a line that stays above the display."""
+        line = " ".join(line.split())
         if self._live is None:
             print_line(line)
             return
         try:
-            self._live.console.print(line, highlight=False, markup=False, soft_wrap=True)
+            self._live.console.print(visible(line), highlight=False, markup=False, soft_wrap=True)
         except OSError:
             silence(sys.stderr)
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from headway.contracts.checks import require_key, require_value
+from headway.contracts.errors import InvalidValueError
 
 NO_PRESET = "none"
 """Value of `preset` that leaves the defaults unchanged."""
@@ -185,13 +186,19 @@ class StoreConfig:
     root: str = "runs"
     """Folder of the run folders, the MLflow database and the index."""
     tracking_uri: str | None = None
-    """MLflow tracking URI. null: a SQLite database in `store.root`."""
+    """MLflow tracking URI, without a password. null: a SQLite database in `store.root`."""
     curve_points: int = 200
     """Points of each metric's curve sent to MLflow. The Parquet log keeps all points."""
     checkpoint_every: int = 20
     """Iterations between checkpoints. The log is made durable with each checkpoint."""
 
     def __post_init__(self) -> None:
+        if self.tracking_uri is not None and re.search(r"://[^/]*:[^/]*@", self.tracking_uri):
+            raise InvalidValueError(
+                "tracking_uri",
+                "must hold no password, since it is stored with every run; set MLFLOW_TRACKING_USERNAME and "
+                "MLFLOW_TRACKING_PASSWORD, or PGPASSWORD for PostgreSQL",
+            )
         require_value(self, "curve_points", self.curve_points >= 2, "must be at least 2")
         require_value(self, "checkpoint_every", self.checkpoint_every >= 1, "must be at least 1")
 

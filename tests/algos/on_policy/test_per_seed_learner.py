@@ -47,7 +47,7 @@ CASES: dict[str, tuple[str, dict[str, Any], EnvSpec]] = {
     "itrpo": ("itrpo", ON_POLICY, BOX),
     "itrpo, shared": ("itrpo", {**ON_POLICY, "policies": "shared"}, DISCRETE),
     "matrpo": ("matrpo", ON_POLICY, TEAM),
-    "hatrpo, recurrent": ("hatrpo", {**ON_POLICY, **GATED}, TEAM),
+    "hatrpo, recurrent": ("hatrpo", {**ON_POLICY, **GATED, "cg_iterations": 2}, TEAM),
     "maacktr": ("maacktr", {**ON_POLICY, "policies": "shared"}, DISCRETE),
     "k-fac in turns": ("custom", {**ON_POLICY, **KFAC, "order": "sequential"}, TEAM),
     "madqn": ("madqn", {**REPLAY, "n_step": 3}, DISCRETE),

@@ -78,6 +78,14 @@ def test_keys_of_an_algorithm_are_listed_with_the_rollout_that_it_brings(rows_of
     assert [row[2] for row in rows if row[0].startswith("rollout.")] == ["8", "32", "2"]
 
 
+def test_control_characters_are_shown_as_escapes(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a terminal, of the direction of writing, and bytes that are no text."""
+    assert run(["run", "algo=\x1b[31m\u202emappo\udcff"]) == 2
+    told = capsys.readouterr().err
+    assert r"algo=\x1b[31m\u202emappo\udcff" in told
+    assert told.count("\n") == 1
+
+
 def test_debug_shows_the_traceback() -> None:
     with pytest.raises(Exception, match="unknown command"):
         run(["--debug", "rnu"])

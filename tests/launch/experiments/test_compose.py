@@ -394,3 +394,13 @@ def test_the_summary_of_a_file_is_the_first_sentence_of_its_comment() -> None:
     assert summary_of("experiment", "toy_recall").endswith("with algo.model.core=none it stays at chance.")
     assert summary_of("experiment", "merge_mappo").endswith("beside rules and human drivers.")
     assert summary_of("preset", "bus_tuned").endswith("need separate policies).")
+
+
+@pytest.mark.parametrize("scheme", ["http", "postgresql", "mysql+pymysql"])
+def test_a_password_in_the_tracking_uri_is_refused_and_not_shown(scheme: str) -> None:
+    """It would be stored in every run's folder and sent to MLflow."""
+    words = ["env=trivial", "algo=ippo", f"store.tracking_uri={scheme}://me:secret@host:5000/db"]
+    with pytest.raises(HeadwayError, match=r"store\.tracking_uri must hold no password") as refusal:
+        compose(words)
+    assert "secret" not in str(refusal.value)
+    compose([*words[:2], f"store.tracking_uri={scheme}://me@host:5000/db"])

@@ -35,7 +35,11 @@ CASES: dict[str, tuple[str, list[Any]]] = {
     "all visitors": ("visitors", [STACK, STACK_REPEATING, "agent_indicator_v0", SCALE, CLIP]),
 }
 
-SHORT: dict[str, dict[str, Any]] = {"intersection": {"horizon": 150}, "bus_published": {"scenario": "line"}}
+SHORT: dict[str, dict[str, Any]] = {
+    "bus": {"end_hour": 8},
+    "intersection": {"horizon": 110},
+    "bus_published": {"scenario": "line"},
+}
 """Arguments of environments whose episodes are long."""
 
 
@@ -70,7 +74,7 @@ def test_a_batched_form_has_supersuit_s_bounds(case: str) -> None:
 def test_a_wrapped_batch_keeps_the_contract(case: str, check: str) -> None:
     """Snapshots too, which include the frames of a stack."""
     name, wrappers = CASES[case]
-    wrapped = pickle.loads(pickle.dumps(prepared(name, ENTRIES[name], wrappers)))
+    wrapped = pickle.loads(pickle.dumps(prepared(name, ENTRIES[name], wrappers, **SHORT.get(name, {}))))
     assert wrapped.batch(1).spec.snapshots
     CHECKS[check](wrapped.batch, play(wrapped.batch))
 
