@@ -130,8 +130,8 @@ def main() -> None:
 def trial(jobs: Slurm, root: Path, sweep: Sequence[str], with_failed: bool = True) -> list[str]:
     """Return the differences between a study trained here and as Slurm jobs.
 
-    `with_failed`: also run a job whose trainings fail, on one node. Raises HeadwayError if Ray is missing, or a
-    job cannot be submitted.
+    `with_failed`: also run a job whose trainings fail, on one node. Raises HeadwayError if Ray is missing, or
+    a job cannot be submitted.
     """
     require_ray()
     train_here(root / "alone", sweep)
