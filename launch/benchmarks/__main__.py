@@ -1,7 +1,7 @@
 """Run all benchmarks, or the named ones: `python -m benchmarks [NAME ...]`."""
 
+import argparse
 import platform
-import sys
 
 from benchmarks import (
     city,
@@ -34,10 +34,12 @@ REPORTS = {
 
 def main() -> None:
     """Print the reports named on the command line, or all of them."""
-    names = sys.argv[1:] or list(REPORTS)
-    unknown = [name for name in names if name not in REPORTS]
-    if unknown:
-        sys.exit(f"benchmarks: no benchmark '{unknown[0]}'; choose from {', '.join(REPORTS)}")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measure Headway's speed.")
+    parser.add_argument("names", metavar="NAME", nargs="*", help=", ".join(REPORTS))
+    names = parser.parse_args().names or list(REPORTS)
+    for name in names:
+        if name not in REPORTS:
+            parser.error(f"there is no benchmark {name!r}; choose from {', '.join(REPORTS)}")
     print(f"Python {platform.python_version()} on {platform.machine()}; no other load is assumed.")
     for name in names:
         REPORTS[name]()
