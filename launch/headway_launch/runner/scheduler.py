@@ -96,8 +96,11 @@ class _Running:
 
     @property
     def stop_s(self) -> float:
-        """Seconds that it may take to stop: three times the longest time between two events."""
-        return max(_STOP_S, 3 * self.pace.longest_s)
+        """Seconds that it may take to stop: five times the longest time between two events.
+
+        The last evaluation, three times as long as others by default, may be in progress.
+        """
+        return max(_STOP_S, 5 * self.pace.longest_s)
 
     def kill(self) -> None:
         """Kill its processes."""

@@ -174,7 +174,7 @@ class WorkerPool:
         waitables = {self.workers[shard].link.waitable: shard for shard in shards}
         until = inf if timeout_s is None else time.monotonic() + timeout_s
         while True:
-            left = min(until - time.monotonic(), *map(self._notice_in_s, shards))
+            left = min([until - time.monotonic(), *map(self._notice_in_s, shards)])
             wait_s = None if left == inf else max(left, 0)
             found = {waitables[ready] for ready in self.launcher.wait(list(waitables), wait_s)}
             found |= {shard for shard in shards if self._is_overdue(shard)}
@@ -273,7 +273,8 @@ class WorkerPool:
         if link.has_started:  # else `receive` waits for the start
             self.answered([shard], None)
             if self._is_overdue(shard) and not self.launcher.wait([link.waitable], 0):
-                return f"no answer for {worker.waited_s:.0f} s while {self._doing(command)}"
+                limit = self.paces[type(command)].limit_s
+                return f"no answer for {limit:.0f} s while {self._doing(command)}"
         answer = link.receive()
         if isinstance(answer, Done):
             self.paces[type(command)].add(worker.waited_s)

@@ -78,3 +78,8 @@ def test_too_many_lost_machines_in_a_row_end_the_run() -> None:
 def test_an_executed_command_resets_the_counts() -> None:
     answers = (DEATH, LOST, LOST, LOST, DONE, DEATH, LOST, LOST, LOST, DONE, DONE)
     assert len(_answered(*answers, commands=(Begin("episodes"), Collect(1)))) == 8
+
+
+def test_of_no_workers_none_has_answered() -> None:
+    pool = WorkerPool(_Scripted(iter(())), 2, print)
+    assert pool.answered([], 0) == []
