@@ -12,7 +12,7 @@ from benchmarks.training import BASE
 UPDATES = 3
 """Counted updates of each training."""
 
-CASES = ((1, 64), (10, 64), (1, 256), (10, 256))
+CASES = ((1, 64), (10, 64), (1, 256))
 """(seeds, units of each of two hidden layers)."""
 
 

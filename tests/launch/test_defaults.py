@@ -16,7 +16,7 @@ from headway_launch.runner.jobs import plan_jobs
 pytestmark = pytest.mark.slow
 
 ENV_STEPS = {"coma": 20_000, "ddpg": 4_000, "madqn": 5_000}
-"""Of algorithms that need more, or fewer and slower ones, than 10,000."""
+"""Budgets other than 10,000: COMA needs more, and each step of DDPG and MADQN takes long."""
 
 
 @pytest.mark.parametrize("algorithm", algo_entries())

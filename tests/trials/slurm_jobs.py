@@ -127,11 +127,10 @@ def main() -> None:
     sys.exit(1 if found else 0)
 
 
-def trial(jobs: Slurm, root: Path, sweep: Sequence[str], with_failed: bool = True) -> list[str]:
+def trial(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
     """Return the differences between a study trained here and as Slurm jobs.
 
-    `with_failed`: also run a job whose trainings fail, on one node. Raises HeadwayError if Ray is missing, or
-    a job cannot be submitted.
+    Raises HeadwayError if Ray is missing, or a job cannot be submitted.
     """
     require_ray()
     train_here(root / "alone", sweep)
@@ -146,8 +145,7 @@ def trial(jobs: Slurm, root: Path, sweep: Sequence[str], with_failed: bool = Tru
             continue
         sync_each(root / name)
         found += [f"{name}: {line}" for line in differences(root / "alone", root / name)]
-    if with_failed:
-        found += [f"failed: {line}" for line in _fail(jobs, root / "failed", sweep)]
+    found += [f"failed: {line}" for line in _fail(jobs, root / "failed", sweep)]
     found += [f"cancelled: {line}" for line in _cancel(jobs, root / "cancelled", sweep)]
     return found
 

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from headway.config.experiment import ExperimentConfig
+from headway.config.experiment import ExperimentConfig, without_password
 from headway.config.schema import plain
 from headway.registry import algo_entries
 from headway_launch.experiments.compose import Experiment
@@ -51,6 +51,9 @@ def upgraded(mapping: Mapping[str, Any]) -> dict[str, Any]:
     Hyper-parameters that had no effect are dropped, and newer ones are set to the value that reproduces the
     old behaviour.
     """
+    store = mapping.get("store")
+    if isinstance(store, Mapping) and isinstance(uri := store.get("tracking_uri"), str):
+        mapping = {**mapping, "store": {**store, "tracking_uri": without_password(uri)}}
     algo = mapping.get("algo")
     entry = algo_entries().get(algo.get("name", "")) if isinstance(algo, Mapping) else None
     if entry is None or not isinstance(algo, Mapping):

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -91,7 +91,7 @@ def read_configuration(directory: Path) -> dict[str, Any]:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
         text = path.read_text(encoding="utf-8")
-        _require_shallow(text, loader)
+        _require_shallow(yaml.parse(text, loader))
         mapping = yaml.load(text, loader)
     except (OSError, ValueError, yaml.YAMLError) as error:
         reason = str(error).splitlines()[0]
@@ -101,12 +101,12 @@ def read_configuration(directory: Path) -> dict[str, Any]:
     return upgraded(mapping)
 
 
-def _require_shallow(text: str, loader: Any) -> None:  # noqa: ANN401 - PyYAML's types name no common base
-    """Raise ValueError for YAML so deeply nested that the C loader would overflow the stack."""
+def _require_shallow(events: Iterable[object]) -> None:
+    """Raise ValueError for YAML, as parsing events, so deeply nested that the C loader would crash."""
     import yaml
 
     depth = 0
-    for event in yaml.parse(text, loader):
+    for event in events:
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > _MAX_DEPTH:

@@ -237,7 +237,7 @@ class ParallelEnvBatch:
         self._write_observations(copy, observations)
         self._update_alive(copy)
         self._read_infos(copy, infos, after_reset=True)
-        self._require_observations(copy, observations)
+        self._require_observations(observations, self._observed.alive[copy])
         if self._spec.state_size:
             self._observed.states[copy] = env.state().reshape(-1)
 
@@ -267,7 +267,9 @@ class ParallelEnvBatch:
             self._update_alive(copy)
         if self._has_masks or any(infos.values()):
             self._read_infos(copy, infos, after_reset=False)
-        self._require_observations(copy, observations)
+        # The return of a truncated agent continues with the value of its last observation.
+        truncated_now = self._outcome.truncated[copy] & self._outcome.acting[copy]
+        self._require_observations(observations, self._observed.alive[copy] | truncated_now)
         if ended:
             self._end_episode(copy, infos)
         elif self._spec.state_size:
@@ -290,11 +292,10 @@ class ParallelEnvBatch:
                 f"should get {self._spec.observation_size} numbers; fix its observation_space"
             ) from error
 
-    def _require_observations(self, copy: int, observations: Mapping[str, Any]) -> None:
-        """Raise HeadwayError if a live agent has none: its last one would be taken for a new one."""
-        if len(observations) == len(self._spec.agents):  # of known agents
-            return
-        self._require_given("observation", observations, self._observed.alive[copy])
+    def _require_observations(self, observations: Mapping[str, Any], due: NDArray[np.bool_]) -> None:
+        """Raise HeadwayError if an agent that is due (N,) has none: an older one would be taken for it."""
+        if len(observations) < len(self._spec.agents):
+            self._require_given("observation", observations, due)
 
     def _require_rewards(self, copy: int, rewards: Mapping[str, float]) -> None:
         """Raise HeadwayError if an agent whose action was due has none, or an unknown agent has one."""
@@ -315,8 +316,9 @@ class ParallelEnvBatch:
         for index in np.flatnonzero(due):
             if (agent := self._spec.agents[index]) not in given:
                 raise HeadwayError(
-                    f"environment '{self._spec.name}' gave no {what} of agent '{agent}', which is alive, at "
-                    f"step {self._steps}; give one for every agent in env.agents"
+                    f"environment '{self._spec.name}' gave no {what} of agent '{agent}' at step "
+                    f"{self._steps}; give one for every agent that is alive, and a last observation to one "
+                    "that is truncated"
                 )
 
     def _slot_rewards(self, rewards: Mapping[str, float], live: Sequence[str] | None) -> list[float]:

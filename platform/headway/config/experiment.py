@@ -14,6 +14,13 @@ _STUDY_LENGTH = 100
 _HOST_AND_PORT = re.compile(r"\S+:\d{1,5}")
 
 
+def without_password(uri: str) -> str:
+    """Return a URI without the password after its user name, or in its query, if it has one."""
+    address, mark, query = uri.partition("?")
+    address = re.sub(r"(://[^/@:]*):[^@]*@", r"\1@", address)
+    return address + mark + re.sub(r"(?<![^&])password=[^&]*&?", "", query)
+
+
 def _require_study(name: str) -> None:
     """Raise ValueError for a study name that cannot be the name of a folder and of a picture file."""
     forms = "write letters, digits, spaces and . _ -, such as study=bus_line"
@@ -115,9 +122,9 @@ class BackendConfig:
     worker_cpus: float | None = None
     """For `ray`: CPUs requested from the cluster per worker. null: 1, or 0 for `local`, where the session
     assigns the cores itself."""
-    patience_s: float | None = None
+    worker_timeout_s: float | None = None
     """Seconds that a worker may take for a rollout or an evaluation before it is replaced, as one that died
-    is. null: ten times the longest so far, at least 60."""
+    is; twice as many for its replacement. null: ten times the longest so far, at least 60."""
     learners: Literal["here", "cluster"] | None = None
     """For `ray`: `here`: runs train on this machine, with workers on the cluster; `cluster`: each run is
     placed on one node of the cluster, with its workers (`store.root` must be on a file system that all
@@ -131,8 +138,8 @@ class BackendConfig:
             self, "parallel", self.parallel is None or self.parallel >= 1, "must be at least 1, or null"
         )
         require_value(self, "stack", self.stack >= 1, "must be at least 1")
-        patience = self.patience_s
-        require_value(self, "patience_s", patience is None or patience > 0, "must be above 0, or null")
+        timeout = self.worker_timeout_s
+        require_value(self, "worker_timeout_s", timeout is None or timeout > 0, "must be above 0, or null")
         is_address = self.address in ("auto", "local") or _HOST_AND_PORT.fullmatch(self.address) is not None
         require_value(self, "address", is_address, "must be auto, local or HOST:PORT")
         cpus = self.worker_cpus
@@ -193,7 +200,7 @@ class StoreConfig:
     """Iterations between checkpoints. The log is made durable with each checkpoint."""
 
     def __post_init__(self) -> None:
-        if self.tracking_uri is not None and re.search(r"://[^/]*:[^/]*@", self.tracking_uri):
+        if self.tracking_uri is not None and without_password(self.tracking_uri) != self.tracking_uri:
             raise InvalidValueError(
                 "tracking_uri",
                 "must hold no password, since it is stored with every run; set MLFLOW_TRACKING_USERNAME and "

@@ -27,10 +27,10 @@ _MAX_NAMES, _NEAREST_NAMES = 30, 8
 line."""
 _MIN_PREFIX = 3
 """Length from which the beginning of a name is matched as an abbreviation."""
-_MOST = 2**63 - 1
+_MAX_INT = 2**63 - 1
 """Largest whole number: that of databases and of numpy."""
-_MAX_SEEDS, _SHOWN = 10_000, 1000
-"""Most seeds of one range; characters of a value in which long numbers are looked for."""
+_MAX_SEEDS = 10_000
+"""Most seeds of one range."""
 _SEED_FORMS = "write 7, 0,1,2, [0,1], 0..49 or range(0,50)"
 
 
@@ -123,9 +123,9 @@ def refuse_targets(value: object, path: str = "") -> None:
 def parse_seeds(value: object, path: str = "seed") -> tuple[int, ...]:
     """Return the seeds written as `7`, `0,1,2`, `[0,1]`, `0..49` (inclusive) or `range(0,50)` (end excluded).
 
-    Raises HeadwayError for any other form, a seed of more than 18 digits, and more than 10,000 seeds.
+    Raises HeadwayError for any other form, a seed of more than 18 digits, and a range of more than 10,000.
     """
-    if re.search(r"\d{19}", str(value)[:_SHOWN]):
+    if re.search(r"\d{19}", str(value)):
         raise HeadwayError(f"{path}={str(value)[:24]}... has more than 18 digits; give smaller seeds")
     if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
         return (value,)
@@ -264,13 +264,13 @@ def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any anno
 
 def _convert_scalar(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if is_number and isinstance(value, int) and abs(value) > _MOST:
+    if is_number and isinstance(value, int) and abs(value) > _MAX_INT:
         raise HeadwayError(f"{key} is a whole number beyond 2^63; give a smaller one")
     if hint is float and is_number:
         if isnan(value):
             raise HeadwayError(f"{key} must be a number, not {value}")
         return float(value)
-    if hint is int and is_number and abs(value) <= _MOST and float(value).is_integer():
+    if hint is int and is_number and abs(value) <= _MAX_INT and float(value).is_integer():
         return int(value)
     if hint is NoneType and value is None:
         return None

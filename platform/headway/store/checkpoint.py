@@ -134,10 +134,10 @@ def _newest_valid(
     raise HeadwayError(f"there is no checkpoint in {where}: start the run anew")
 
 
-def require_usable(
+def require_same_shapes(
     parameters: Parameters, policy: ActingPolicy, replicas: int, environment: str, run: Path
 ) -> None:
-    """Raise HeadwayError if a checkpoint's arrays do not have the shapes of `policy`, or are not finite.
+    """Raise HeadwayError if a checkpoint's arrays do not have the shapes of `policy`.
 
     `parameters` are those of `replicas` replicas, from the run folder `run`.
     """
@@ -148,8 +148,6 @@ def require_usable(
                 f"run {run.name} was trained on a version of {environment} with other observations, actions "
                 "or agents; train it again"
             )
-        if not np.isfinite(parameters[name]).all():
-            raise HeadwayError(f"run {run.name} diverged: its policy's {name} is not finite; train it again")
 
 
 def latest_iteration(directory: Path) -> int | None:

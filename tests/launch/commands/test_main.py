@@ -79,7 +79,7 @@ def test_keys_of_an_algorithm_are_listed_with_the_rollout_that_it_brings(rows_of
 
 
 def test_control_characters_are_shown_as_escapes(capsys: pytest.CaptureFixture[str]) -> None:
-    """Of a terminal, of the direction of writing, and bytes that are no text."""
+    """Terminal commands, marks of the writing direction, and bytes that are not text."""
     assert run(["run", "algo=\x1b[31m\u202emappo\udcff"]) == 2
     told = capsys.readouterr().err
     assert r"algo=\x1b[31m\u202emappo\udcff" in told

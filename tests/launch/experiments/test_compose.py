@@ -13,7 +13,7 @@ from headway.contracts import HeadwayError
 from headway.registry import algo_entries, env_entries
 from headway_launch.experiments.compose import compose, resolve
 from headway_launch.experiments.options import configs_folder, options, summary_of
-from headway_launch.experiments.parameters import cell_parameters, full_mapping
+from headway_launch.experiments.parameters import cell_parameters, full_mapping, upgraded
 from headway_launch.experiments.search import read_search
 from headway_launch.experiments.sweep import compose_sweep
 from headway_launch.runner.cores import CoreShares, share_cores
@@ -396,11 +396,27 @@ def test_the_summary_of_a_file_is_the_first_sentence_of_its_comment() -> None:
     assert summary_of("preset", "bus_tuned").endswith("need separate policies).")
 
 
-@pytest.mark.parametrize("scheme", ["http", "postgresql", "mysql+pymysql"])
-def test_a_password_in_the_tracking_uri_is_refused_and_not_shown(scheme: str) -> None:
-    """It would be stored in every run's folder and sent to MLflow."""
-    words = ["env=trivial", "algo=ippo", f"store.tracking_uri={scheme}://me:secret@host:5000/db"]
+@pytest.mark.parametrize(
+    ("uri", "without"),
+    [
+        ("http://me:secret@host:5000", "http://me@host:5000"),
+        ("postgresql://me:se/secret@host/db", "postgresql://me@host/db"),
+        ("mysql+pymysql://host/db?user=me&password=secret&ssl=1", "mysql+pymysql://host/db?user=me&ssl=1"),
+    ],
+)
+def test_a_password_in_the_tracking_uri_is_refused_and_not_shown(uri: str, without: str) -> None:
+    """It would be stored in every run's folder and sent to MLflow; a run stored with one can be resumed."""
+
+    def words(of: str) -> list[str]:
+        return ["env=trivial", "algo=ippo", f"++store.tracking_uri='{of}'"]
+
     with pytest.raises(HeadwayError, match=r"store\.tracking_uri must hold no password") as refusal:
-        compose(words)
+        compose(words(uri))
     assert "secret" not in str(refusal.value)
-    compose([*words[:2], f"store.tracking_uri={scheme}://me@host:5000/db"])
+    mapping = full_mapping(compose(words(without)), [0])
+    stored = {**mapping, "store": {**mapping["store"], "tracking_uri": uri}}
+    assert resolve(upgraded(stored)).config.store.tracking_uri == without
+
+
+def test_an_at_sign_in_a_query_is_no_password() -> None:
+    compose(["env=trivial", "algo=ippo", "++store.tracking_uri='http://host:5000?mail=me@host'"])

@@ -5,10 +5,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_runs import SMALL, end_as
 
 from headway.contracts import Box, EnvSpec, HeadwayError
+from headway.store.checkpoint import load_latest, save_checkpoint
 from headway.store.parquet_log import read_rows
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.commands.main import run
@@ -82,3 +84,24 @@ def test_a_run_acts_in_scaled_units_and_a_study_keeps_one_kind(capsys: pytest.Ca
         pass
     assert run(["sweep", *TINY[1:], "seed=0,1"]) == 2
     assert "set study to another name to train all anew" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_policy_that_is_not_finite_is_refused_and_that_of_another_seed_is_not(value: float) -> None:
+    """Both seeds were trained in one process, and their policies lie in one array."""
+    assert run(["sweep", *TINY[1:], "seed=0,1", "backend.stack=2"]) == 0
+    runs = {
+        stored.record.seed: stored
+        for record in Path("runs").glob("*/*/run.json")
+        if (stored := StoredRun.read(Path("runs"), record.parent))
+    }
+    for stored in runs.values():
+        iteration, state, _ = load_latest(stored.directory / CHECKPOINTS)
+        name, array = next(iter(state["acting"].items()))
+        array[-1].flat[0] = value
+        save_checkpoint(stored.directory / CHECKPOINTS, iteration, state)
+    environment = runs[0].experiment.prepare()
+    newest_policy(runs[0], environment)
+    problem = f"run {runs[1].record.run_id} diverged: its policy's {name} is not finite"
+    with pytest.raises(HeadwayError, match=problem):
+        newest_policy(runs[1], environment)

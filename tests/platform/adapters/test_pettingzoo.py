@@ -302,15 +302,33 @@ def test_a_live_agent_without_an_answer_is_an_error(name: str, shared_reward: bo
         env.reset(seeds(1))
         for _ in range(at - 1):
             env.step(NOTHING[:1])
-        message = f"'scripted' gave no {name} of agent '{agent}', which is alive, at step {at}; give one"
+        message = f"'scripted' gave no {name} of agent '{agent}' at step {at}; give one for every agent"
         with pytest.raises(HeadwayError, match=message):
             env.step(NOTHING[:1])
 
 
 def test_an_agent_without_its_first_observation_is_an_error() -> None:
     env = batch(_leave_out("observations", "a", 0))
-    with pytest.raises(HeadwayError, match="gave no observation of agent 'a', which is alive, at step 0"):
+    with pytest.raises(HeadwayError, match="gave no observation of agent 'a' at step 0"):
         env.reset(seeds())
+
+
+@pytest.mark.parametrize("how", ["truncated", "slot_ended"])
+def test_a_truncated_agent_without_its_last_observation_is_an_error(how: str) -> None:
+    """The value of that observation is part of its return; a terminated agent needs none."""
+
+    def script(env: Scripted) -> None:
+        if env.steps == 1:
+            del env.observations["b"]
+            if how == "truncated":
+                env.truncated["b"] = True
+            else:
+                env.infos["b"] = {"slot_ended": "truncated", "alive": False}
+
+    env = batch(script, agents_come_and_go=True)
+    env.reset(seeds())
+    with pytest.raises(HeadwayError, match="gave no observation of agent 'b' at step 1"):
+        env.step(NOTHING)
 
 
 @pytest.mark.parametrize("name", ["observation", "reward"])

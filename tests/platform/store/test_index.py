@@ -88,17 +88,19 @@ def test_a_broken_record_is_a_notice(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "problem"),
     [
-        {"seed": 10**400},
-        {"seed": "three"},
-        {"session": None},
-        {"status": "DONE"},
-        {"started": "yesterday"},
-        {"parameters": {"algo.lr": 1}},
+        ({"seed": 10**400}, "seed is a whole number beyond 2^63"),
+        ({"seed": "three"}, "seed='three' is text"),
+        ({"session": None}, "session=null is null"),
+        ({"status": "DONE"}, "status='DONE' is not possible"),
+        ({"started": "yesterday"}, "Invalid isoformat string: 'yesterday'"),
+        ({"parameters": {"algo.lr": 1}}, "parameters.algo.lr=1 is a whole number"),
     ],
 )
-def test_a_record_with_a_wrong_value_is_a_notice(tmp_path: Path, change: dict[str, object]) -> None:
+def test_a_record_with_a_wrong_value_is_a_notice(
+    tmp_path: Path, change: dict[str, object], problem: str
+) -> None:
     """And the other runs stay listed."""
     _run(tmp_path, 0)
     broken = _run(tmp_path, 1) / "run.json"
@@ -106,8 +108,7 @@ def test_a_record_with_a_wrong_value_is_a_notice(tmp_path: Path, change: dict[st
     index = RunIndex(tmp_path)
     assert [row.seed for row in index.rows()] == [0]
     [notice] = index.notices
-    assert f"{broken} is not a valid run record (" in notice
-    assert next(iter(change)) in notice or "isoformat" in notice
+    assert f"{broken} is not a valid run record ({problem}" in notice
 
 
 @pytest.mark.parametrize("name", ["run.json", "summary.json"])

@@ -5,13 +5,13 @@ Every operation can be repeated: it queries what MLflow already has.
 
 import logging
 import os
-import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
+from headway.config.experiment import without_password
 from headway.contracts import HeadwayError
 from headway.store.atomic_files import locked, make_folder, sync_folder
 from headway.store.run_folder import Status, milliseconds
@@ -212,11 +212,6 @@ class Tracker:
 def database_uri(root: Path) -> str:
     """Return the tracking URI of the SQLite database in a store's root."""
     return f"sqlite:///{root.resolve() / _DATABASE}"
-
-
-def without_password(uri: str) -> str:
-    """Return a URI with its password replaced by `...`, for messages."""
-    return re.sub(r"(://[^/@:]*):[^/@]*@", r"\1:...@", uri)
 
 
 def require_answer(uri: str) -> None:

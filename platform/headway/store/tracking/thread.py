@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from headway.config.experiment import without_password
 from headway.contracts import HeadwayError
-from headway.store.tracking.client import Tracker, TrackingError, require_answer, without_password
+from headway.store.tracking.client import Tracker, TrackingError, require_answer
 
 _RETRY_SECONDS = 30.0
 _CONNECT_SECONDS = 120.0

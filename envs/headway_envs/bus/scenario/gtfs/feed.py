@@ -2,6 +2,7 @@
 
 import csv
 import io
+import lzma
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -43,7 +44,17 @@ _OPTIONAL = {
 """Optional files and columns that are read if present."""
 
 
-_MAX_BYTES = 8 * 2**30
+_ZIP_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    EOFError,
+    OSError,  # of bzip2, and of the disk
+    RuntimeError,  # encrypted
+    NotImplementedError,  # compressed by an unknown method
+)
+"""What Python's zipfile raises for a zip that it cannot read."""
+_MAX_BYTES = 4 * 2**30
 """Most bytes that a feed's files may unpack to."""
 
 
@@ -95,6 +106,10 @@ def _content(path: Path) -> bytes:
 
 def _read_zip(path: Path) -> dict[str, pd.DataFrame]:
     """Return the files of a zip. Raises HeadwayError if it is damaged, encrypted or unpacks to too much."""
+
+    def unpacked(name: str) -> bytes | None:
+        return archive.read(inside[name]) if name in inside else None
+
     try:
         with zipfile.ZipFile(path) as archive:
             inside = _locate_files(path, archive.namelist())
@@ -104,12 +119,10 @@ def _read_zip(path: Path) -> dict[str, pd.DataFrame]:
                     f"FEED: {path} unpacks to {size / 2**30:.0f} GiB, more than {_MAX_BYTES // 2**30}; "
                     "leave out what is not needed"
                 )
-            return {
-                name: _read_frame(name, archive.read(inside[name]) if name in inside else None)
-                for name in {**REQUIRED, **_OPTIONAL}
-            }
-    except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError, OSError) as error:
+            contents = {name: unpacked(name) for name in {**REQUIRED, **_OPTIONAL}}
+    except _ZIP_ERRORS as error:
         raise HeadwayError(f"FEED: {path} is a damaged or encrypted zip ({error}); fetch it again") from error
+    return {name: _read_frame(name, content) for name, content in contents.items()}
 
 
 def seconds(file: str, column: str, texts: "pd.Series[str]") -> Floats:
