@@ -55,6 +55,8 @@ Fault = Literal[
     "hang up",
     "kill parent",
     "fork",
+    "fork in reset",
+    "fork and raise",
     "hang",
     "stop",
 ]
@@ -99,12 +101,15 @@ class FaultyVisitors:
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observations:
         self._steps[:] = 0
+        if self._config.fault == "fork in reset" and self._strikes():
+            os.fork()
         return self._env.reset(seeds)
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         outcome, observed = self._env.step(actions)
         self._steps += 1
-        if self._steps[0] >= self._config.at and self._strikes():
+        due = self._steps[0] >= self._config.at and self._config.fault != "fork in reset"
+        if due and self._strikes():
             self._fail(outcome, observed)
         return outcome, observed
 
@@ -145,6 +150,9 @@ class FaultyVisitors:
                 os.kill(os.getpid(), signal.SIGSTOP)
             case "fork":
                 os.fork()
+            case "fork and raise":
+                if os.fork() == 0:
+                    raise RuntimeError("the child fails")
             case "exit":
                 sys.exit(3)
             case "hang up":
@@ -288,10 +296,10 @@ def collector_of(
     name: str = "process",
     workers: int = 2,
     notify: Notify = lambda line: None,
-    patience_s: float | None = None,
+    worker_timeout_s: float | None = None,
 ) -> Iterator[Collector]:
     """Open a collector and close it at the end."""
-    backend = replace(backend_of(name), patience_s=patience_s)
+    backend = replace(backend_of(name), worker_timeout_s=worker_timeout_s)
     collector = open_collector(backend, plan, workers, notify)
     try:
         yield collector

@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, Failed, Finished, Notice, Started
-from headway.rollout.workers.pace import Pace
+from headway.timeouts import MIN_TIMEOUT_S, AdaptiveTimeout
 from headway_launch.console.progress import OVER
 from headway_launch.console.progress_display import Progress
 from headway_launch.runner.cores import CoreShares
@@ -23,7 +23,7 @@ _POLL_S = 0.2
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _SAME_REQUEST_S = 1.0
 _STOP_S = 10.0
-"""Least time for a training process to stop, s."""
+"""Least time until a training process reports something after a stop request, s."""
 
 
 class StopRequests:
@@ -72,12 +72,13 @@ class _Running:
 
     job: SessionJob
     training: Training
+    silence: AdaptiveTimeout
+    """Time between two events, except the start of the process and what a notice interrupts, such as the
+    replacement of a worker."""
     heard_at: float = field(default_factory=time.monotonic)
     """Time of its last event, s."""
-    pace: Pace = field(default_factory=Pace)
-    """Time between two events, without the start and intervals with a notice, of a replaced worker say."""
     is_regular: bool = False
-    """The interval since the last event counts."""
+    """The time since the last event counts."""
     is_noticed: bool = False
     """The user has been told that it is silent."""
     is_killed: bool = False
@@ -86,7 +87,7 @@ class _Running:
         """Take note of an event."""
         now = time.monotonic()
         if self.is_regular and not isinstance(event, Notice | Started):
-            self.pace.add(now - self.heard_at)
+            self.silence.add(now - self.heard_at)
         self.heard_at, self.is_noticed, self.is_regular = now, False, not isinstance(event, Notice)
 
     @property
@@ -94,13 +95,19 @@ class _Running:
         """Seconds since its last event."""
         return time.monotonic() - self.heard_at
 
-    @property
-    def stop_s(self) -> float:
-        """Seconds that it may take to stop: five times the longest time between two events.
+    def does_not_stop(self, asked_at: float) -> bool:
+        """Return whether it has been silent for too long since it was asked to stop at `asked_at`.
 
-        The last evaluation, three times as long as others by default, may be in progress.
+        The limit is five times the longest silence so far. It is at least 10 s, or a minute where there is
+        nothing to compare with: before the second event, and when it has answered and writes its checkpoint.
+        There is none during the last evaluation, which may have any number of episodes.
         """
-        return max(_STOP_S, 5 * self.pace.longest_s)
+        progress = self.job.progress
+        if progress.status in OVER or progress.iteration >= progress.iterations:
+            return False
+        unknown = not self.silence.longest_s or self.heard_at > asked_at
+        limit = max(MIN_TIMEOUT_S if unknown else _STOP_S, 5 * self.silence.longest_s)
+        return time.monotonic() - max(asked_at, self.heard_at) > limit
 
     def kill(self) -> None:
         """Kill its processes."""
@@ -162,7 +169,10 @@ class Scheduler:
     def _start(self, job: SessionJob, shown: Progress) -> None:
         job.progress.status = "starting"
         try:
-            self._running[id(job)] = _Running(job, self._start_training(job))
+            # Longer than the limit of its workers, which it replaces itself.
+            shortest = 2 * max(MIN_TIMEOUT_S, job.worker_timeout_s)
+            silence = AdaptiveTimeout(factor=20.0, min_s=shortest)
+            self._running[id(job)] = _Running(job, self._start_training(job), silence)
         except HeadwayError as error:
             self._take(job, Failed(str(error), traceback.format_exc()), shown)
 
@@ -188,15 +198,14 @@ class Scheduler:
     def _watch(self, shown: Progress) -> None:
         """Tell the user of training processes that are silent; kill those that do not stop."""
         for running in self._running.values():
-            name, silent, longest = running.job.progress.name, running.silent_s, running.pace.longest_s
+            name, silent = running.job.progress.name, running.silent_s
             if self._asked_to_stop_at is not None:
-                asked = time.monotonic() - self._asked_to_stop_at
-                if not running.is_killed and min(asked, silent) > running.stop_s:
+                if not running.is_killed and running.does_not_stop(self._asked_to_stop_at):
                     shown.note(f"{name} does not stop: killed; training after the last checkpoint is lost")
                     running.kill()
-            elif silent > running.pace.limit_s and not running.is_noticed:
+            elif silent > running.silence.limit_s and not running.is_noticed:
                 running.is_noticed = True
-                before = f"and for at most {longest:.1f} s before"
+                before = f"and for at most {running.silence.longest_s:.1f} s before"
                 shown.note(
                     f"{name} has been silent for {silent:.0f} s, {before}; it may hang: Ctrl-C stops it"
                 )

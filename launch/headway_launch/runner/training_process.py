@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 import threading
 import traceback
 from abc import ABC, abstractmethod
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, Failed
+from headway.rollout.forks import end_if_forked
 
 if TYPE_CHECKING:
     from headway.training.loop import TrainingJob
@@ -136,7 +136,8 @@ class TrainingProcess(Training):
 
 def _run(connection: Connection) -> None:
     os.setpgid(0, 0)
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what environments print is no result
+    with suppress(OSError):  # a closed stderr
+        os.dup2(2, 1)  # what environments print is no result
     for number in _SIGNALS:
         # Not SIG_IGN: workers would inherit it and could not be terminated.
         signal.signal(number, lambda *_: None)
@@ -144,10 +145,16 @@ def _run(connection: Connection) -> None:
     threading.Thread(target=_end_with_session, daemon=True).start()
     try:
         work: Work = connection.recv()
-        work(connection.send, connection.poll)
+        work(partial(_send, connection, os.getpid()), connection.poll)
     except (BrokenPipeError, EOFError):
         _end_group()
     connection.close()
+
+
+def _send(connection: Connection, process_id: int, event: Event) -> None:
+    """Report an event, unless an environment forked this process off the training process."""
+    end_if_forked(process_id)
+    connection.send(event)
 
 
 def train_and_report(job: "TrainingJob", report: Report, should_stop: ShouldStop) -> None:

@@ -31,7 +31,7 @@ class PoolContributors:
         launcher: WorkerLauncher,
         evaluator: Collector,
         notify: Notify,
-        patience_s: float | None = None,
+        timeout_s: float | None = None,
     ) -> None:
         """`evaluator` never begins training episodes. It is closed with this object or if the start fails."""
         self.plan, self.evaluator = plan, evaluator
@@ -41,7 +41,7 @@ class PoolContributors:
         """Workers that have answered, died or taken too long, until their answer is received, in order."""
         try:
             name = plan.rollout.spec.name
-            self.pool = WorkerPool(launcher, len(plan.shards), notify, name, patience_s)
+            self.pool = WorkerPool(launcher, len(plan.shards), notify, name, timeout_s)
         except BaseException:
             evaluator.close()
             raise
@@ -80,9 +80,12 @@ class PoolContributors:
 
     def _next_ready(self) -> int:
         """Return the worker whose answer arrived first; wait for one if none has arrived."""
-        waiting = [worker for worker in self.tasks if worker not in self.ready]
-        self.ready += self.pool.answered(waiting, 0 if self.ready else None)
-        return self.ready.popleft()
+        while True:
+            waiting = [worker for worker in self.tasks if worker not in self.ready]
+            self.ready += self.pool.answered(waiting, 0 if self.ready else None)
+            worker = self.ready.popleft()
+            if self.pool.answered([worker], 0):  # else it was late, and its limit has grown since
+                return worker
 
     def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
         """Play evaluation episodes in the separate worker."""
@@ -123,7 +126,7 @@ class SerialContributors:
 
     in_turns = True
 
-    def __init__(self, plan: AsynchronousPlan, notify: Notify) -> None:
+    def __init__(self, plan: AsynchronousPlan, notify: Notify, timeout_s: float | None = None) -> None:
         self.asynchronous, self.plan = plan, plan.rollout
         limit = self.plan.spec.max_copies_per_process
         if limit is not None and self.plan.copies > limit:
@@ -135,7 +138,9 @@ class SerialContributors:
         self.tasks: dict[int, Contribute] = {}
         """Current task by worker, in order of assignment."""
         evaluation = self.plan.evaluation_plan
-        self.evaluator = None if limit is None else process_collector(evaluation, [evaluation.whole], notify)
+        self.evaluator = (
+            None if limit is None else process_collector(evaluation, [evaluation.whole], notify, timeout_s)
+        )
         """Separate evaluation process; None: evaluate in this process."""
 
     @property

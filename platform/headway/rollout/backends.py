@@ -38,14 +38,14 @@ def open_contributors(backend: BackendConfig, plan: AsynchronousPlan, notify: No
     Raises HeadwayError if the backend cannot start.
     """
     if backend.name == "serial":
-        return SerialContributors(plan, notify)
+        return SerialContributors(plan, notify, backend.worker_timeout_s)
     evaluator = _open_evaluator(backend, plan.rollout, len(plan.shards), notify)
     try:
         launcher = _launcher(backend, plan, notify)
     except BaseException:
         evaluator.close()
         raise
-    return PoolContributors(plan, launcher, evaluator, notify, backend.patience_s)
+    return PoolContributors(plan, launcher, evaluator, notify, backend.worker_timeout_s)
 
 
 def _open_evaluator(backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify) -> Collector:
@@ -70,11 +70,11 @@ def _open(
     if name == "serial":
         return SerialCollector(plan)
     if name == "process":
-        return process_collector(plan, shards, notify, backend.patience_s)
+        return process_collector(plan, shards, notify, backend.worker_timeout_s)
     from headway.rollout.workers.ray_workers import RaySamplingTransport  # imports Ray, an optional extra
 
     transport = RaySamplingTransport(backend, plan, shards, notify)
-    return PoolCollector(plan, transport, len(shards), notify, backend.patience_s)
+    return PoolCollector(plan, transport, len(shards), notify, backend.worker_timeout_s)
 
 
 def _launcher(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> WorkerLauncher:

@@ -39,11 +39,11 @@ class PoolCollector:
         transport: SamplingTransport,
         number: int,
         notify: Notify,
-        patience_s: float | None = None,
+        timeout_s: float | None = None,
     ) -> None:
         self.plan, self.transport, self.trajectory = plan, transport, transport.trajectory
         try:
-            self.pool = WorkerPool(transport, number, notify, plan.spec.name, patience_s)
+            self.pool = WorkerPool(transport, number, notify, plan.spec.name, timeout_s)
         except BaseException:
             transport.close()
             raise

@@ -41,7 +41,7 @@ from headway.store.checkpoint import (
     checkpoint_bytes,
     load_for_resume,
     remove_replay,
-    require_usable,
+    require_same_shapes,
     write_checkpoint,
     write_replay,
 )
@@ -270,7 +270,7 @@ class _Training:
         for line in notices:
             self.report(Notice(line))
         job, folder = self.job, Path(self.job.directories[0])
-        require_usable(state["acting"], job.plan.policy, len(job.seeds), self.config.env.id, folder)
+        require_same_shapes(state["acting"], job.plan.policy, len(job.seeds), self.config.env.id, folder)
         self.iteration = self.saved_iteration = iteration
         self.seconds_before = state["seconds"]
         self.learner.load_state_dict(state["learner"])

@@ -10,7 +10,6 @@ from typing import Any, cast
 import pytest
 
 from headway.events import Event, Finished, IterationFinished, Started, Usage
-from headway.rollout.workers import pace
 from headway_launch.console.progress import JobProgress
 from headway_launch.runner import scheduler
 from headway_launch.runner.cores import CoreShares
@@ -45,7 +44,10 @@ class _Silent(Training):
 
 def _job(seed: int) -> SessionJob:
     progress = JobProgress((seed,), iterations=10, mode="greedy", iteration_steps=64)
-    return cast(SessionJob, SimpleNamespace(progress=progress, take=progress.take, can_restart=lambda: False))
+    job = SimpleNamespace(
+        progress=progress, take=progress.take, can_restart=lambda: False, worker_timeout_s=0.0
+    )
+    return cast(SessionJob, job)
 
 
 def _run(trainings: Sequence[_Silent], tick: Callable[[], Any]) -> list[str]:
@@ -75,9 +77,7 @@ def test_a_training_process_that_does_not_stop_is_killed(
             stopping.theirs.send(Finished(1, stopped=True))
             stopping.theirs.close()
 
-    began = time.monotonic()
     assert _run([hanging, stopping], interrupt_once) == ["stopped", "stopped"]
-    assert time.monotonic() - began < 10
     assert (hanging.killed, stopping.killed) == (True, False)
     told = capsys.readouterr().err
     assert told.count("does not stop: killed; training after the last checkpoint is lost") == 1
@@ -88,7 +88,7 @@ def test_a_silent_training_process_is_named_once(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One that is starting is not: how long that takes is not known."""
-    monkeypatch.setattr(pace, "LEAST_S", 0.3)
+    monkeypatch.setattr(scheduler, "MIN_TIMEOUT_S", 0.2)
     silent, starting = _Silent(), _Silent([])
     until = time.monotonic() + 1.5
 

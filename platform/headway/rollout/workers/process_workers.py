@@ -23,10 +23,10 @@ GRACE_S = 5.0
 
 
 def process_collector(
-    plan: RolloutPlan, shards: Sequence[Shard], notify: Notify, patience_s: float | None = None
+    plan: RolloutPlan, shards: Sequence[Shard], notify: Notify, timeout_s: float | None = None
 ) -> PoolCollector:
     """Start one worker process per shard; all share one trajectory and one set of parameters."""
-    return PoolCollector(plan, SharedMemoryTransport(plan, shards), len(shards), notify, patience_s)
+    return PoolCollector(plan, SharedMemoryTransport(plan, shards), len(shards), notify, timeout_s)
 
 
 class ProcessLauncher:
@@ -97,8 +97,6 @@ class ProcessConnection:
 
     lost_with_machine = False
     """False: the worker runs on this machine."""
-    has_started = True
-    """True: it does not wait for free CPUs."""
 
     def __init__(self, process: ForkServerProcess, pipe: connection.Connection) -> None:
         self.process, self.pipe = process, pipe
@@ -112,6 +110,9 @@ class ProcessConnection:
     def waitable(self) -> connection.Connection:
         """The pipe."""
         return self.pipe
+
+    def await_start(self) -> None:
+        """Return at once: the worker does not wait for free CPUs."""
 
     def send(self, command: Command) -> None:
         """Send a command, if the worker is alive."""

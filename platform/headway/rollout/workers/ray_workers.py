@@ -9,6 +9,7 @@ import pickle
 import re
 import socket
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from importlib import metadata
 from pathlib import Path
@@ -243,14 +244,14 @@ class RayConnection:
         return self.place.process_id
 
     @property
-    def has_started(self) -> bool:
-        """Its place is known."""
-        return self.place is not None
-
-    @property
     def waitable(self) -> Any:  # noqa: ANN401 - Ray's reference
         """Ray's reference to the answer."""
         return self.answer_reference
+
+    def await_start(self) -> None:
+        """Wait until the worker has started, and check its place, see `RayLauncher.check_place`."""
+        with suppress(ray.exceptions.RayError):  # `receive` reports it
+            self._wait_for_place()
 
     def send(self, command: Command) -> None:
         """Call the worker with a command and the current parameters."""

@@ -6,8 +6,9 @@ The loop over environment steps is `Sampler.collect`.
 import os
 import signal
 import threading
+import time
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from multiprocessing import connection, parent_process, reduction
 from typing import Any, Protocol
@@ -17,6 +18,7 @@ from headway.contracts.acting_policy import Parameters
 from headway.contracts.trajectory import arrays_in
 from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
+from headway.rollout.forks import end_if_forked
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.sampler import Episode, Sampler
 from headway.rollout.workers.shared_memory import SharedBlock, SharedPickle, give_back_memory
@@ -103,6 +105,8 @@ class Done:
     usage: Usage
     """Usage of the worker since it started."""
     contribution: Contribution | None = None
+    seconds: float = 0.0
+    """Wall time of the command in the worker."""
 
 
 class Service(Protocol):
@@ -138,13 +142,14 @@ def run_worker(setup: Setup, commands: connection.Connection) -> None:
     """Execute commands until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session handles Ctrl-C
     threading.Thread(target=_exit_with_parent, daemon=True).start()
-    server = CommandServer(setup)
+    server, process_id = CommandServer(setup), os.getpid()
     while True:
         try:
             command: Command = commands.recv()
         except (EOFError, OSError):
             return
         answer = server.answer(command)
+        end_if_forked(process_id)
         try:
             commands.send_bytes(answer)
         except OSError:
@@ -160,10 +165,12 @@ class CommandServer:
 
     def answer(self, command: Command) -> memoryview:
         """Execute a command; return a pickled `Done` or `CommandFailed`."""
+        began = time.monotonic()
         try:
             self.service = self.service or self.setup.open()
+            done = self.service.execute(command)
             # Pickled inside the try block: a snapshot that cannot be pickled becomes an answer too.
-            return reduction.ForkingPickler.dumps(self.service.execute(command))
+            return reduction.ForkingPickler.dumps(replace(done, seconds=time.monotonic() - began))
         except Exception as error:
             line = str(error) if isinstance(error, HeadwayError) else f"{type(error).__name__}: {error}"
             is_user_error = isinstance(error, HeadwayError)

@@ -1,17 +1,14 @@
 """A pool of workers on any launcher: sends commands, receives answers, replaces workers that fail."""
 
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from math import inf
 from typing import Any, Protocol
 
 from headway.contracts import HeadwayError
 from headway.events import Usage
 from headway.rollout.collector import restart_purpose
-from headway.rollout.workers.pace import LEAST_S, Pace
 from headway.rollout.workers.usage import cpu_seconds_of
 from headway.rollout.workers.worker import (
     Begin,
@@ -23,6 +20,7 @@ from headway.rollout.workers.worker import (
     Evaluate,
     Restore,
 )
+from headway.timeouts import MIN_TIMEOUT_S, AdaptiveTimeout
 
 Notify = Callable[[str], None]
 
@@ -41,13 +39,12 @@ class WorkerConnection(Protocol):
         ...
 
     @property
-    def has_started(self) -> bool:
-        """The worker runs, so that commands reach it; until then it may wait for free CPUs."""
-        ...
-
-    @property
     def waitable(self) -> Any:  # noqa: ANN401 - a pipe, or another type that the launcher waits for
         """Handle for `WorkerLauncher.wait`, ready once the worker has answered or died."""
+        ...
+
+    def await_start(self) -> None:
+        """Wait until the worker runs: it may wait for free CPUs. If it is lost, `receive` reports it."""
         ...
 
     def send(self, command: Command) -> None:
@@ -105,7 +102,7 @@ class _Worker:
     sent_at: float = 0.0
     """Time of sending it, s (`time.monotonic`)."""
     is_noticed: bool = False
-    """The user has been told that its first answer of this kind is late."""
+    """The user has been told that its answer is late, although no limit is known."""
 
     def send(self, command: Command) -> None:
         """Send a command."""
@@ -138,12 +135,14 @@ class WorkerPool:
         number: int,
         notify: Notify,
         environment: str = "the environment",
-        patience_s: float | None = None,
+        timeout_s: float | None = None,
     ) -> None:
-        """`environment`: its name, for notices. `patience_s`: see `BackendConfig`."""
+        """`environment`: its name, for notices. `timeout_s`: `BackendConfig.worker_timeout_s`."""
         self.launcher, self.notify, self.environment = launcher, notify, environment
-        self.paces: defaultdict[type[Command], Pace] = defaultdict(partial(Pace, patience_s))
-        """Time that the answers to each kind of command take."""
+        self.timeouts: dict[type[Command], AdaptiveTimeout] = {
+            kind: AdaptiveTimeout(timeout_s) for kind in (Collect, Evaluate, Contribute)
+        }
+        """Limits on commands that step environments; making or restoring them has none."""
         self.lost_cpu_seconds = 0.0
         """CPU seconds of workers that were replaced."""
         self.restart_purpose = restart_purpose(0)
@@ -184,23 +183,30 @@ class WorkerPool:
     def _is_overdue(self, shard: int) -> bool:
         """Return whether a worker has taken too long; notify if it is late and no limit is known yet."""
         worker = self.workers[shard]
-        if worker.command is None or not worker.link.has_started:
+        if worker.command is None:
             return False
-        limit, waited = self.paces[type(worker.command)].limit_s, worker.waited_s
-        if limit == inf and waited >= LEAST_S and not worker.is_noticed:
+        limit, waited = self._limit_s(worker), worker.waited_s
+        if limit == inf and waited >= MIN_TIMEOUT_S and not worker.is_noticed:
             worker.is_noticed = True
             doing = self._doing(worker.command)
             self.notify(f"worker {shard} has not answered for {waited:.0f} s while {doing}; it may hang")
         return waited >= limit
 
+    def _limit_s(self, worker: _Worker) -> float:
+        """Return how long a worker may take for its command, s; infinity if that is not known.
+
+        A replacement has twice the time, in case the first was only slow.
+        """
+        if worker.command is None or type(worker.command) not in self.timeouts:
+            return inf
+        return self.timeouts[type(worker.command)].limit_s * (2.0 if worker.failures else 1.0)
+
     def _notice_in_s(self, shard: int) -> float:
         """Return the seconds until a worker is overdue or a notice of it is due."""
         worker = self.workers[shard]
-        if worker.command is None or not worker.link.has_started:
-            return inf
-        limit = self.paces[type(worker.command)].limit_s
+        limit = self._limit_s(worker)
         if limit == inf and not worker.is_noticed:
-            limit = LEAST_S
+            limit = MIN_TIMEOUT_S
         return limit - worker.waited_s
 
     def _doing(self, command: Command) -> str:
@@ -267,17 +273,18 @@ class WorkerPool:
 
     def _answer_of(self, shard: int) -> Done | CommandFailed | str:
         """Wait for a worker's answer; return it, or how the worker was lost."""
-        worker = self.workers[shard]
+        worker, began = self.workers[shard], time.monotonic()
         link, command = worker.link, worker.command
         assert command is not None
-        if link.has_started:  # else `receive` waits for the start
-            self.answered([shard], None)
-            if self._is_overdue(shard) and not self.launcher.wait([link.waitable], 0):
-                limit = self.paces[type(command)].limit_s
-                return f"no answer for {limit:.0f} s while {self._doing(command)}"
+        link.await_start()
+        worker.sent_at += time.monotonic() - began
+        self.answered([shard], None)
+        if self._is_overdue(shard) and not self.launcher.wait([link.waitable], 0):
+            slow = "if it is only slow, set a higher backend.worker_timeout_s"
+            return f"no answer for {self._limit_s(worker):.0f} s while {self._doing(command)}; {slow}"
         answer = link.receive()
-        if isinstance(answer, Done):
-            self.paces[type(command)].add(worker.waited_s)
+        if isinstance(answer, Done) and type(command) in self.timeouts:
+            self.timeouts[type(command)].add(answer.seconds)
         return answer
 
     def _require_replaceable(self, shard: int, answer: CommandFailed | str) -> None:

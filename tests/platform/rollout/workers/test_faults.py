@@ -42,10 +42,10 @@ def _taken(
     plan: RolloutPlan,
     notices: list[str] | None = None,
     iterations: int = 3,
-    patience_s: float | None = None,
+    worker_timeout_s: float | None = None,
 ) -> list[Taken]:
     notify = notices.append if notices is not None else print
-    with collector_of(plan, workers=2, notify=notify, patience_s=patience_s) as collector:
+    with collector_of(plan, workers=2, notify=notify, worker_timeout_s=worker_timeout_s) as collector:
         collector.begin()
         return iterations_of(collector, parameters_of(plan), 1, iterations)
 
@@ -96,25 +96,27 @@ def test_a_worker_that_fails_in_mid_iteration_does_not_change_the_data(
 def test_a_worker_that_hangs_in_mid_iteration_does_not_change_the_data(
     tmp_path: Path, undisturbed: list[Taken], fault: Fault
 ) -> None:
-    """Its `step` does not return, or the process is suspended."""
-    assert_same(undisturbed, _taken(_plan(tmp_path, fault), notices := [], patience_s=2.0))
+    """Either `step` does not return, or the process is suspended."""
+    assert_same(undisturbed, _taken(_plan(tmp_path, fault), notices := [], worker_timeout_s=2.0))
     [notice] = notices
-    assert "failed (no answer for 2 s while stepping faulty in iteration 2); replaced, repeating" in notice
+    assert "failed (no answer for 2 s while stepping faulty in iteration 2; if it is only slow" in notice
+    assert "set a higher backend.worker_timeout_s); replaced, repeating" in notice
 
 
 def test_a_worker_that_hangs_twice_ends_the_run_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(
-        WorkerFailedError, match=r"failed twice \(no answer for 1 s while stepping faulty"
+        WorkerFailedError, match=r"failed twice \(no answer for 4 s while stepping faulty"
     ) as it:
-        _taken(_plan(tmp_path, "hang", times=9), [], patience_s=1.0)
+        _taken(_plan(tmp_path, "hang", times=9), [], worker_timeout_s=2.0)
     _one_line(it.value)
 
 
-def test_an_environment_that_forks_in_mid_iteration_does_not_change_the_data(
-    tmp_path: Path, undisturbed: list[Taken]
+@pytest.mark.parametrize("fault", ["fork", "fork in reset", "fork and raise"])
+def test_an_environment_that_forks_does_not_change_the_data(
+    tmp_path: Path, undisturbed: list[Taken], fault: Fault
 ) -> None:
     """The forked process would answer too, so that every later answer would be that to the command before."""
-    assert_same(undisturbed, _taken(_plan(tmp_path, "fork"), notices := []))
+    assert_same(undisturbed, _taken(_plan(tmp_path, fault), notices := []))
     assert notices == []
 
 

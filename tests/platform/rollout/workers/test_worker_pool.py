@@ -1,6 +1,8 @@
 """A worker pool counts failures of workers and losses of their machines separately."""
 
+import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -19,7 +21,6 @@ class _Scripted:
     process_id = None
     waitable = None
     lost_with_machine = False
-    has_started = True
 
     def __init__(self, answers: Iterator[Done | str]) -> None:
         self._answers = answers
@@ -31,6 +32,9 @@ class _Scripted:
         return list(waitables)
 
     def dismiss(self, links: Sequence[Any]) -> None:
+        pass
+
+    def await_start(self) -> None:
         pass
 
     def send(self, command: Command) -> None:
@@ -78,6 +82,15 @@ def test_too_many_lost_machines_in_a_row_end_the_run() -> None:
 def test_an_executed_command_resets_the_counts() -> None:
     answers = (DEATH, LOST, LOST, LOST, DONE, DEATH, LOST, LOST, LOST, DONE, DONE)
     assert len(_answered(*answers, commands=(Begin("episodes"), Collect(1)))) == 8
+
+
+def test_a_limit_follows_the_time_that_workers_needed_not_when_their_answers_were_received() -> None:
+    """While worker 0 was waited for, worker 1 had long answered."""
+    pool = WorkerPool(_Scripted(iter([replace(DONE, seconds=3.0), replace(DONE, seconds=8.0)])), 2, print)
+    for worker in pool.workers:
+        worker.sent_at = time.monotonic() - 1000
+    pool.all([Collect(1)] * 2)
+    assert pool.timeouts[Collect].limit_s == 80.0
 
 
 def test_of_no_workers_none_has_answered() -> None:
