@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Continue training; return the highest exit code of the sessions."""
+    from headway.store.run_folder import RunRecord
     from headway_launch.console.output import print_line
     from headway_launch.runner.runner import EXIT_STOPPED, run_sessions
     from headway_launch.runner.stored_run import StoredRun
@@ -59,11 +60,14 @@ def execute(arguments: argparse.Namespace) -> int:
             raise HeadwayError(f"run {run.record.run_id} has finished: there is nothing to resume")
         run.record.require_free()
     if not arguments.study:
-        return run_sessions(_cells_of(runs), arguments.debug)
-    cells, left = _cells_of_study(root, arguments.study, runs)
-    code = run_sessions(cells, arguments.debug, plan_kept=True)
+        code, left = run_sessions(_cells_of(runs), arguments.debug)
+        for directory in left:
+            RunRecord.read(directory).require_free()
+        return code
+    cells, held = _cells_of_study(root, arguments.study, runs)
+    code, left = run_sessions(cells, arguments.debug, plan_kept=True)
     if code != EXIT_STOPPED:
-        require_all_ended(arguments.study, left)
+        require_all_ended(arguments.study, [*held, *left])
     if not cells:
         print_line(f"headway: all runs of study {arguments.study} have finished: there is nothing to resume")
     return code
@@ -103,7 +107,7 @@ def _cells_of_study(
         raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
     standings = [StudyProgress.of(root, experiment, rows) for experiment in planned]
     print_progress(study, standings)
-    covered = {run_id for standing in standings for run_id in standing.run_ids}
+    covered = {run_id for standing in standings for run_id in standing.run_ids or ()}
     others = {
         run.directory: run
         for run in (

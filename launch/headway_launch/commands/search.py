@@ -55,7 +55,7 @@ def execute(arguments: argparse.Namespace) -> int:
     code = runner.run()
     if code != EXIT_DONE:
         return code
-    session.require_all_ended()
+    session.require_all_ended(runner)
     results = {}
     for (point, experiment), rewards in zip(points.items(), runner.final_rewards(), strict=True):
         if len(rewards) < len(experiment.config.seed):

@@ -7,12 +7,12 @@ from typing import Literal
 
 from headway.events import EvaluationFinished, Event, Failed, Finished, IterationFinished, Started
 
-Status = Literal["waiting", "starting", "training", "finished", "stopped", "failed"]
+Status = Literal["waiting", "starting", "training", "finished", "stopped", "failed", "elsewhere"]
 ACTIVE: tuple[Status, ...] = ("starting", "training")
 ENDED: tuple[Status, ...] = ("finished", "failed")
 """Statuses of ended jobs; a stopped job has not ended, since `headway resume` continues it."""
-OVER: tuple[Status, ...] = (*ENDED, "stopped")
-"""Statuses of jobs that are over for this session."""
+OVER: tuple[Status, ...] = (*ENDED, "stopped", "elsewhere")
+"""Statuses of jobs that are over for this session; `elsewhere`: another session trains or finished it."""
 
 
 @dataclass
@@ -120,6 +120,8 @@ def overall(jobs: Sequence[JobProgress], parallel: int) -> str:
     parts = [f"{seeds_with(jobs, *ENDED)} of {sum(len(job.seeds) for job in jobs)} runs ended"]
     parts[0] += f" ({failed} failed)" if failed else ""
     parts += [f"{stopped} stopped"] if stopped else []
+    elsewhere = seeds_with(jobs, "elsewhere")
+    parts += [f"{elsewhere} left to other sessions"] if elsewhere else []
     parts.append(f"{seeds_with(jobs, *ACTIVE)} training")
     speeds = [speed for job in active if (speed := job.steps_per_second) is not None]
     if speeds:

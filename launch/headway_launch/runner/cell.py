@@ -10,17 +10,18 @@ from headway.config.schema import plain
 from headway.events import Row
 from headway.store.atomic_files import read_json
 from headway.store.checkpoint import latest_iteration
-from headway.store.run_folder import CHECKPOINTS, Status, rules_file, status_of_all
-from headway.store.session import Cell, Run, SessionStore
+from headway.store.run_folder import CHECKPOINTS, Status, folders_of_seed, rules_file, status_of_all
+from headway.store.session import Cell, Run, RunTakenError, SessionStore
 from headway.training.loop import TrainingJob
 from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.console.progress_display import CountedProgress
-from headway_launch.experiments.parameters import cell_parameters, full_mapping
+from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
 from headway_launch.runner.comparison import rule_episodes
 from headway_launch.runner.cores import CoreShares, workers_of
 from headway_launch.runner.jobs import CellPlan, PlannedJob
 from headway_launch.runner.results import SeedResult, stored_result
+from headway_launch.runner.stored_run import StoredRun
 
 Rules = Mapping[str, list[Row]]
 _EVALUATION_SEED = "evaluation_seed"
@@ -47,7 +48,8 @@ class SessionCell:
     def runs(self, planned: PlannedJob, shares: CoreShares) -> list[Run]:
         """Return the runs of a job, one per seed, newly created or resumed.
 
-        Raises HeadwayError if the store cannot be written or another session holds a run.
+        Raises HeadwayError if the store cannot be written, and RunTakenError if another session trains, or
+        has finished, one of them.
         """
         if planned.resumed:
             stacked = len(planned.seeds) > 1
@@ -61,18 +63,43 @@ class SessionCell:
             "workers": workers_of(planned, shares),
             "scaled_actions": True,
         }
-        return [
-            self._cell.begin_run(
-                seed,
-                yaml.safe_dump(full_mapping(experiment, [seed]), sort_keys=False),
-                plan,
-                iterations=self.config.iterations,
-                policies=str(getattr(experiment.algo_config, "policies", "")),
-                preset=self.config.preset,
-                candidate=self.config.candidate,
-            )
-            for seed in planned.seeds
+        with self._store.claiming():
+            self._require_untaken(planned.seeds)
+            return [
+                self._cell.begin_run(
+                    seed,
+                    yaml.safe_dump(full_mapping(experiment, [seed]), sort_keys=False),
+                    plan,
+                    iterations=self.config.iterations,
+                    policies=str(getattr(experiment.algo_config, "policies", "")),
+                    preset=self.config.preset,
+                    candidate=self.config.candidate,
+                )
+                for seed in planned.seeds
+            ]
+
+    def _require_untaken(self, seeds: Sequence[int]) -> None:
+        """Raise RunTakenError if another session has begun a run of these seeds since this one was planned.
+
+        A run that has failed or was killed since does not count.
+        """
+        known, root = self.plan.known_runs, Path(self.config.store.root)
+        if known is None:
+            return
+        wanted = identity(full_mapping(self.experiment, ()))
+        begun = [
+            StoredRun.read(root, folder)
+            for seed in seeds
+            for folder in folders_of_seed(root, self.config.study, self._cell.name, seed)
+            if folder.name not in known
         ]
+        taken = [
+            run.directory
+            for run in begun
+            if run.identity == wanted and run.record.settled_status in ("RUNNING", "FINISHED")
+        ]
+        if taken:
+            raise RunTakenError(f"{taken[0].name} is a run of another session", taken)
 
     def training_job(self, planned: PlannedJob, runs: Sequence[Run], shares: CoreShares) -> TrainingJob:
         """Return the work of a job's training process."""

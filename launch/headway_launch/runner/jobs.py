@@ -97,6 +97,9 @@ class CellPlan:
     """Folders of runs that finished in earlier sessions and count as results."""
     label: str = ""
     """Name of the cell in a session with several; empty otherwise."""
+    known_runs: frozenset[str] | None = None
+    """Identities of all runs of its seeds when it was planned: seeds for which another session has begun a
+    run since are left to that session. None: all seeds are trained."""
 
 
 def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:

@@ -92,6 +92,10 @@ class Runner:
             for cell in self._cells
         ]
 
+    def left_to_others(self) -> list[Path]:
+        """Return the folders of runs that other sessions began while this one ran."""
+        return [folder for job in self._jobs for folder in job.elsewhere]
+
     def _start(self, job: SessionJob) -> Training:
         """Create or reopen the runs of a job and start its training process."""
         training = job.begin(self._shares)
@@ -121,7 +125,8 @@ class Runner:
     def _store_unstarted(self, stopped: bool) -> None:
         """Store the runs that never started as killed, so that `headway resume` finds them."""
         for job in self._jobs:
-            if stopped and job.recorder is None and not job.planned.resumed and not self._plan_kept:
+            never_begun = job.recorder is None and not job.planned.resumed and not job.elsewhere
+            if stopped and never_begun and not self._plan_kept:
                 job.create_runs(self._shares)
                 self._store_end(job)
 
@@ -129,7 +134,7 @@ class Runner:
         metrics = self._energy.stop()
         for cell in self._cells:
             # Also cells without jobs: a killed session may have left them open in MLflow.
-            statuses = [job.stored_status for job in self._jobs if job.cell is cell]
+            statuses = [job.stored_status for job in self._jobs if job.cell is cell and not job.elsewhere]
             cell.finish(statuses, metrics if cell.touched else {})
 
     def _exit_code(self, stopped: bool) -> int:
@@ -163,10 +168,14 @@ class Runner:
             environments = {repr((cell.config.env.id, cell.config.env.args)) for cell in self._cells}
             command = "compare" if len(environments) == 1 else "report"
             print_line(f"compare with the rules, with intervals: {own_name()} {command} {study}{option}")
+        if left := self.left_to_others():
+            print_line(f"headway: {counted(len(left), 'run')} left to other sessions, not in this table")
         self._print_store_share()
         unfinished = [result.run_id for result in results if result.status in ("KILLED", "FAILED")]
         not_started = sum(
-            len(job.planned.seeds) for job in self._jobs if job.recorder is None and not job.lost_at
+            len(job.planned.seeds) - len(job.elsewhere)
+            for job in self._jobs
+            if job.recorder is None and not job.lost_at
         )
         if unfinished or not_started:
             named = (
@@ -189,14 +198,19 @@ class Runner:
             )
 
 
-def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False) -> int:
-    """Run cells in groups of equal session settings, one group after another; return the worst exit code."""
+def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False) -> tuple[int, list[Path]]:
+    """Run cells in groups of equal session settings, one group after another.
+
+    Returns the worst exit code and the folders of runs that other sessions began meanwhile.
+    """
     sessions: dict[str, list[CellPlan]] = {}
     for cell in cells:
         sessions.setdefault(str(session_settings(cell.experiment.config)), []).append(cell)
-    worst = EXIT_DONE
+    worst, left = EXIT_DONE, list[Path]()
     for together in sessions.values():
-        worst = max(worst, Runner(together, debug, plan_kept).run())
+        runner = Runner(together, debug, plan_kept)
+        worst = max(worst, runner.run())
+        left += runner.left_to_others()
         if worst == EXIT_STOPPED:
             break
-    return worst
+    return worst, left

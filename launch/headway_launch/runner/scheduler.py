@@ -12,6 +12,7 @@ from typing import Any, Self
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, Failed, Finished, Notice, Started
+from headway.store.session import RunTakenError
 from headway.timeouts import MIN_TIMEOUT_S, AdaptiveTimeout
 from headway_launch.console.progress import OVER
 from headway_launch.console.progress_display import Progress
@@ -118,7 +119,7 @@ class _Running:
 class Scheduler:
     """Runs the jobs of a session, `parallel` at a time. A failed job does not stop the others.
 
-    Only the scheduler sets a job's `SessionJob.progress.status`. `start(job)` starts a training process;
+    Statuses of jobs change through the scheduler only. `start(job)` starts a training process;
     `ended(job)` is called when a job has ended or its process was lost; `tick()` is called a few times per
     second and returns lines for the user.
     """
@@ -173,6 +174,8 @@ class Scheduler:
             shortest = 2 * max(MIN_TIMEOUT_S, job.worker_timeout_s)
             silence = AdaptiveTimeout(factor=20.0, min_s=shortest)
             self._running[id(job)] = _Running(job, self._start_training(job), silence)
+        except RunTakenError as error:
+            job.progress.status, job.elsewhere = "elsewhere", error.directories
         except HeadwayError as error:
             self._take(job, Failed(str(error), traceback.format_exc()), shown)
 

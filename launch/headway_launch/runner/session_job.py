@@ -1,6 +1,7 @@
 """A job of a session, from its plan to the stored runs of its seeds."""
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from headway.events import Event
 from headway.store.run_folder import Status
@@ -18,13 +19,15 @@ _MAX_RESTARTS = 3
 
 @dataclass
 class SessionJob:
-    """One stack of seeds in a session. The scheduler sets `progress.status`, the current state of the job."""
+    """One stack of seeds in a session; `progress.status` is the current state of the job."""
 
     cell: SessionCell
     planned: PlannedJob
     progress: JobProgress
     recorder: JobRecorder | None = None
     """Recorder of its runs; None before they are created or reopened."""
+    elsewhere: tuple[Path, ...] = ()
+    """Folders of runs of its seeds that other sessions train or have finished, so that it does not start."""
     lost_at: list[int] = field(default_factory=list)
     """Last durable iteration at each loss of the training process."""
 
@@ -62,7 +65,7 @@ class SessionJob:
                 return "FINISHED"
             case "failed":
                 return "FAILED"
-            case "waiting" | "stopped":
+            case "waiting" | "stopped" | "elsewhere":
                 return "KILLED"
 
     def create_runs(self, shares: CoreShares) -> JobRecorder:

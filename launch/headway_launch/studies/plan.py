@@ -34,8 +34,8 @@ class StudyProgress:
     """For each seed without a finished run: a run that another session is training."""
     new: tuple[int, ...] = ()
     """Seeds without a run."""
-    run_ids: frozenset[str] = frozenset()
-    """Identities of all runs of these seeds."""
+    run_ids: frozenset[str] | None = None
+    """Identities of all runs of these seeds; None if stored runs are ignored."""
 
     @classmethod
     def of(cls, root: Path, experiment: Experiment, rows: Sequence["RunRow"]) -> "StudyProgress":
@@ -88,7 +88,8 @@ class StudyProgress:
         if self.new:
             self._require_same_units(self.experiment.prepare(known).spec)
             jobs += new_jobs(self.experiment, self.new, known)
-        return CellPlan(self.experiment, tuple(jobs), tuple(run.directory for run in self.finished), label)
+        finished = tuple(run.directory for run in self.finished)
+        return CellPlan(self.experiment, tuple(jobs), finished, label, self.run_ids)
 
     def _require_same_units(self, spec: EnvSpec) -> None:
         """Raise HeadwayError if seeds to train would act in other units than seeds of an earlier version."""

@@ -53,9 +53,10 @@ class StudySession:
         print_progress(config.study, self.progress)
         return runner
 
-    def require_all_ended(self) -> None:
+    def require_all_ended(self, runner: Runner) -> None:
         """Raise HeadwayError if runs left to other sessions have not finished."""
-        require_all_ended(self.experiments[0].config.study, held_elsewhere(self.progress))
+        left = [*held_elsewhere(self.progress), *runner.left_to_others()]
+        require_all_ended(self.experiments[0].config.study, left)
 
 
 def print_progress(study: str, progress: Sequence[StudyProgress]) -> None:

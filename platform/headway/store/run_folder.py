@@ -182,6 +182,11 @@ def create_run_folder(root: Path, study: str, cell: str, seed: int) -> tuple[str
         return run_id, parent / run_id
 
 
+def folders_of_seed(root: Path, study: str, cell: str, seed: int) -> list[Path]:
+    """Return the folders of all runs of one seed of a cell, in no particular order."""
+    return [path.parent for path in (root / _slug(study)).glob(f"{cell}-s{seed}-*/{RECORD}")]
+
+
 def rules_file(root: Path, study: str, cell: str) -> Path:
     """Return the path of the JSON file with the episodes of a cell's classical rules: rule name -> rows."""
     return root / _slug(study) / f"{cell}.rules.json"

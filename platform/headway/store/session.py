@@ -1,6 +1,7 @@
 """Store interface of the session process: cells and runs, mirrored to MLflow by a background thread."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -30,6 +31,16 @@ from headway.store.run_folder import (
 from headway.store.tracking.client import Tracker
 from headway.store.tracking.sync import RunSync, send_unsent, unsent_runs
 from headway.store.tracking.thread import TrackingThread, TrackingUpdate
+
+
+class RunTakenError(HeadwayError):
+    """Another session trains a run, or has finished it, since this session was planned."""
+
+    def __init__(self, message: str, directories: Sequence[Path]) -> None:
+        super().__init__(message)
+        self.directories = tuple(directories)
+        """Folders of the runs."""
+
 
 EPISODES_RESTARTED = "episodes_restarted"
 """Tag with the iterations after which a run was resumed without snapshots of its environment."""
@@ -64,18 +75,26 @@ class SessionStore:
             store._mlflow.connect()
         return store
 
+    def claiming(self) -> AbstractContextManager[None]:
+        """Return a lock under which one session at a time looks for runs of others and begins its own."""
+        return locked(self.root / ".resume.lock", _LOCK_SECONDS, "runs were begun")
+
     def resume(self, run_id: str, stacked: bool = False) -> "Run":
         """Reopen a killed or failed run and prevent its former training process from writing to it.
 
         `stacked`: allow a finished run, because other seeds of its stack may not have finished. Raises
-        HeadwayError if there is no such run, it has finished, or another session runs it.
+        HeadwayError if there is no such run, and RunTakenError if it has finished or another session runs it.
         """
         directory = find_run(self.root, run_id)
-        with locked(self.root / ".resume.lock", _LOCK_SECONDS, "a run was resumed"):
+        with self.claiming():
             record = RunRecord.read(directory)
-            record.require_free()
+            try:
+                record.require_free()
+            except HeadwayError as error:
+                raise RunTakenError(str(error), [directory]) from error
             if record.status == "FINISHED" and not stacked:
-                raise HeadwayError(f"run {record.run_id} has finished: there is nothing to resume")
+                message = f"run {record.run_id} has finished: there is nothing to resume"
+                raise RunTakenError(message, [directory])
             record = replace(
                 record,
                 status="RUNNING",

@@ -15,7 +15,7 @@ from headway_launch.experiments.sweep import compose_sweep
 from headway_launch.runner.cell import SessionCell
 from headway_launch.runner.cores import CoreShares, workers_of
 from headway_launch.studies.plan import StudyProgress, keep_plan, kept_plans, plan_cells
-from headway_launch.studies.session import require_all_ended
+from headway_launch.studies.session import StudySession, require_all_ended
 
 BASE = ("env=trivial", "study=toys", "energy=off", "backend=serial", "env_steps=4096")
 
@@ -214,3 +214,43 @@ def test_runs_that_another_session_has_finished_are_no_error(tmp_path: Path) -> 
     record.write_text(record.read_text().replace('"RUNNING"', '"FINISHED"'))
     require_all_ended("toys", [record.parent])
     assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 0
+
+
+SMALL = ("algo=ippo", "env_steps=64", "rollout.copies=4", "rollout.block=2", "rollout.steps=16",
+         "evaluation.rules=[]")  # fmt: skip
+
+
+def _trained(session: StudySession) -> tuple[list[Path], list[tuple[int, str]]]:
+    """Return the runs that the session leaves to others, and (seed, status) of all stored runs."""
+    runner = session.open_runner(debug=False)
+    assert runner.run() == 0
+    rows = RunIndex(Path(session.experiments[0].config.store.root)).rows()
+    return runner.left_to_others(), [(row.seed, row.status) for row in rows]
+
+
+def test_sessions_that_start_together_train_each_seed_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The second is planned before the first has begun any run."""
+    keep_run(tmp_path, compose_sweep([*BASE, *SMALL, f"store.root={tmp_path}"])[0], 3, "KILLED")
+    first, second, fresh = (
+        StudySession.plan(
+            compose_sweep([*BASE, *SMALL, f"store.root={tmp_path}", f"seed={seeds}"]), fresh=new
+        )
+        for seeds, new in (("0,1,3", False), ("1,2,3", False), ("1", True))
+    )
+    finished = [(seed, "FINISHED") for seed in (3, 0, 1)]
+    assert _trained(first) == ([], finished)
+    left, stored = _trained(second)
+    assert stored == [*finished, (2, "FINISHED")]
+    names = [f"s{seed}-" for seed in (3, 1)]
+    assert all(name in folder.name for name, folder in zip(names, left, strict=True))
+    assert "headway: 2 runs left to other sessions, not in this table" in capsys.readouterr().err
+    assert _trained(fresh) == ([], [*stored, (1, "FINISHED")])
+
+
+def test_a_seed_whose_run_in_another_session_has_failed_is_trained(tmp_path: Path) -> None:
+    experiments = compose_sweep([*BASE, *SMALL, f"store.root={tmp_path}", "seed=0"])
+    session = StudySession.plan(experiments)
+    keep_run(tmp_path, experiments[0], 0, "FAILED")
+    assert _trained(session) == ([], [(0, "FAILED"), (0, "FINISHED")])
