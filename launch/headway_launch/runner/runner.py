@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from headway.config.experiment import ExperimentConfig
+from headway.contracts.errors import HeadwayError
 from headway.rollout.workers.usage import usable_cores
 from headway.store.session import SessionStore
 from headway.wording import counted
@@ -135,7 +136,10 @@ class Runner:
         for cell in self._cells:
             # Also cells without jobs: a killed session may have left them open in MLflow.
             statuses = [job.stored_status for job in self._jobs if job.cell is cell and not job.elsewhere]
-            cell.finish(statuses, metrics if cell.touched else {})
+            try:
+                cell.finish(statuses, metrics if cell.touched else {})
+            except HeadwayError as error:  # the runs are stored
+                print_line(f"headway: {error}")
 
     def _exit_code(self, stopped: bool) -> int:
         if stopped:

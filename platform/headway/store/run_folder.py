@@ -192,6 +192,11 @@ def rules_file(root: Path, study: str, cell: str) -> Path:
     return root / _slug(study) / f"{cell}.rules.json"
 
 
+def cell_summary_file(root: Path, study: str, cell: str) -> Path:
+    """Return the path of the JSON file with what belongs to a cell rather than to one of its runs."""
+    return root / _slug(study) / f"{cell}.summary.json"
+
+
 def plans_folder(root: Path, study: str) -> Path:
     """Return the folder of a study's stored sweep plans."""
     return root / _slug(study) / "sweeps"

@@ -28,8 +28,8 @@ from headway.store.run_folder import (
     now,
     rules_file,
 )
-from headway.store.tracking.client import Tracker
-from headway.store.tracking.sync import RunSync, send_unsent, unsent_runs
+from headway.store.tracking.cells import CellSummary, send_cell
+from headway.store.tracking.sync import RunSync, has_unsent, send_unsent
 from headway.store.tracking.thread import TrackingThread, TrackingUpdate
 
 
@@ -124,7 +124,7 @@ class SessionStore:
 
         Runs of earlier sessions are included.
         """
-        if unsent_runs(self.root, self.tracking_uri):
+        if has_unsent(self.root, self.tracking_uri):
             self.track(partial(send_unsent, self.root))
         self._mlflow.close(seconds)
         return self.notices()
@@ -198,14 +198,23 @@ class Cell:
         write_json(path, stored | {rule: [dict(row) for row in rows] for rule, rows in episodes.items()})
 
     def finish(self, status: Status, metrics: Mapping[str, float] | None = None) -> None:
-        """End the cell's parent run in MLflow, with metrics aggregated over its seeds."""
-        ended, sent = now(), dict(metrics or {})
+        """Store what belongs to the cell rather than to a run, and end its parent run in MLflow.
 
-        def end(tracker: Tracker) -> None:
-            _, parent = tracker.cell(self._study, self.name, self._parameters, {}, running=False)
-            tracker.finish(parent, status, ended, sent, ())
-
-        self._store.track(end)
+        Metrics of earlier sessions stay, unless `metrics` replaces them. Raises HeadwayError if the summary
+        cannot be written.
+        """
+        CellSummary(
+            study=self._study,
+            cell=self.name,
+            parameters=self._parameters,
+            session=Process.current(),
+            tracking_uri=self._store.tracking_uri,
+            status=status,
+            ended=now(),
+            metrics=metrics or {},
+        ).keep(self._store.root)
+        root, study, name = self._store.root, self._study, self.name
+        self._store.track(lambda tracker: send_cell(root, tracker, study, name))
 
 
 class Run:

@@ -220,6 +220,47 @@ def test_a_failing_mlflow_is_a_notice_and_sync_repairs_it(root: Path) -> None:
     assert _statuses(root) == ["FINISHED"] * 2
 
 
+def _cell_metrics(root: Path, name: str) -> dict[str, list[float]]:
+    """Return the values of each metric of a cell's parent run in MLflow."""
+    client = _mlflow(root)
+    [parent] = client.search_runs(["1"], filter_string=f"tags.`headway.cell` = '{name}'")
+    return {
+        key: [entry.value for entry in client.get_metric_history(parent.info.run_id, key)]
+        for key in parent.data.metrics
+    }
+
+
+def test_what_belongs_to_a_cell_reaches_mlflow_later_and_once(root: Path) -> None:
+    """Also if its runs are complete in MLflow, and values of earlier sessions stay."""
+    config = StoreConfig(root=str(root))
+    store = SessionStore.open(config)
+    cell = Cell(store, "study one", "bus", "mappo", {"algo.lr": 3e-4})
+    run = cell.begin_run(0, "seed: 0\n", {}, iterations=ITERATIONS)
+    _train(run, 1, 10)
+    run.finish("FINISHED", {"final_reward": 2.0})
+    assert store.close() == ()
+    whole = (root / "mlflow.db").read_bytes()
+
+    (root / "mlflow.db").write_bytes(b"no database at all" * 100)
+    for metrics in ({"energy_total_kwh": 0.5, "rules/held_return": 3.0}, {"rules/held_return": 4.0}):
+        away = SessionStore.open(config)
+        Cell(away, "study one", "bus", "mappo", {"algo.lr": 3e-4}).finish("FINISHED", metrics)
+        [notice] = away.close()
+        assert notice.startswith("MLflow is behind")
+
+    (root / "mlflow.db").write_bytes(whole)
+    for _ in range(2):
+        assert sync(root) == ()  # no run was sent
+        sent = _cell_metrics(root, cell.name)
+        assert sent == {"summary/energy_total_kwh": [0.5], "summary/rules/held_return": [4.0]}
+    [path] = root.glob("*/*.summary.json")
+    path.write_text("{}")
+    (run.directory / "tracking.json").unlink()
+    lines = sync(root)
+    assert f"{run.run_id} is up to date in MLflow" in lines
+    assert any(f"{path} is not the summary of a cell" in line for line in lines)
+
+
 def test_an_unreadable_run_does_not_block_other_runs(root: Path) -> None:
     """In training, at the end of the next session and in `sync`; each time with a notice."""
     store = SessionStore.open(StoreConfig(root=str(root)))

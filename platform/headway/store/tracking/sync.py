@@ -1,7 +1,7 @@
 """Synchronisation of run folders to MLflow: during training, after a resume, or any time later."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
@@ -15,11 +15,13 @@ from headway.store.run_folder import (
     CHECKPOINTS,
     Process,
     RunRecord,
+    cell_summary_file,
     now,
     read_summary,
     run_folders,
     status_of_all,
 )
+from headway.store.tracking.cells import CellSummary, ended_cells, send_cell
 from headway.store.tracking.client import Tracker, TrackingError, database_uri
 from headway.store.tracking.thinning import ThinnedCurve
 
@@ -113,7 +115,8 @@ def sync(root: Path, tracking_uri: str | None = None) -> tuple[str, ...]:
     TrackingError if MLflow fails.
     """
     runs, lines = _ended_runs(root)
-    return (*lines, *_send_missing(root, tracking_uri, runs))
+    cells, more = ended_cells(root)
+    return (*lines, *more, *_send_missing(root, tracking_uri, runs, cells))
 
 
 def sync_each(root: Path) -> tuple[str, ...]:
@@ -122,44 +125,72 @@ def sync_each(root: Path) -> tuple[str, ...]:
     Returns one line for each run that was sent or could not be read. Raises TrackingError if MLflow fails.
     """
     runs, lines = _ended_runs(root)
-    for uri in dict.fromkeys(record.tracking_uri for _, record in runs):
-        lines += _send_missing(root, uri, [run for run in runs if run[1].tracking_uri == uri])
+    cells, more = ended_cells(root)
+    lines += more
+    for uri in dict.fromkeys(
+        [*(run[1].tracking_uri for run in runs), *(cell.tracking_uri for cell in cells)]
+    ):
+        lines += _send_missing(root, uri, *_trained_with(uri, runs, cells))
     return tuple(lines)
 
 
-def unsent_runs(root: Path, tracking_uri: str | None) -> list[Path]:
-    """Return the folders of ended runs trained with this tracking URI and not yet sent completely."""
-    runs = [run for run in _ended_runs(root)[0] if run[1].tracking_uri == tracking_uri]
-    return _missing(root, tracking_uri, runs)
+def has_unsent(root: Path, tracking_uri: str | None) -> bool:
+    """Return whether ended runs or cells trained with this tracking URI are not yet sent completely."""
+    runs, cells = _trained_with(tracking_uri, _ended_runs(root)[0], ended_cells(root)[0])
+    return bool(_missing(root, tracking_uri, runs) or _missing_cells(root, tracking_uri, cells))
 
 
 def send_unsent(root: Path, tracker: Tracker) -> None:
-    """Send the `unsent_runs` of a tracker's URI.
+    """Send the ended runs and cells that were trained with a tracker's URI and are not yet sent completely.
 
     Raises TrackingError if MLflow fails and, after all other runs are sent, HeadwayError if runs cannot be
     read.
     """
-    _, unreadable = _send(root, tracker, unsent_runs(root, None if tracker.local else tracker.uri))
+    uri = None if tracker.local else tracker.uri
+    runs, cells = _trained_with(uri, _ended_runs(root)[0], ended_cells(root)[0])
+    _, unreadable = _send(root, tracker, _missing(root, uri, runs), _missing_cells(root, uri, cells))
     if unreadable:
         raise HeadwayError("; ".join(unreadable))
 
 
+def _trained_with(
+    uri: str | None, runs: Iterable[tuple[Path, RunRecord]], cells: Iterable[CellSummary]
+) -> tuple[list[tuple[Path, RunRecord]], list[CellSummary]]:
+    return (
+        [run for run in runs if run[1].tracking_uri == uri],
+        [cell for cell in cells if cell.tracking_uri == uri],
+    )
+
+
 def _send_missing(
-    root: Path, tracking_uri: str | None, runs: Iterable[tuple[Path, RunRecord]]
+    root: Path,
+    tracking_uri: str | None,
+    runs: Iterable[tuple[Path, RunRecord]],
+    cells: Iterable[CellSummary],
 ) -> tuple[str, ...]:
-    missing = _missing(root, tracking_uri, runs)
-    if not missing:
+    missing = _missing(root, tracking_uri, runs), _missing_cells(root, tracking_uri, cells)
+    if not any(missing):
         return ()
-    sent, unreadable = _send(root, Tracker(root, tracking_uri), missing)
+    sent, unreadable = _send(root, Tracker(root, tracking_uri), *missing)
     return (*sent, *unreadable)
+
+
+def _missing_cells(
+    root: Path, tracking_uri: str | None, cells: Iterable[CellSummary]
+) -> list[tuple[str, str]]:
+    """Return (study, cell) of the summaries that MLflow lacks."""
+    uri = tracking_uri or database_uri(root)
+    return [(cell.study, cell.cell) for cell in cells if uri not in cell.sent]
 
 
 def _missing(root: Path, tracking_uri: str | None, runs: Iterable[tuple[Path, RunRecord]]) -> list[Path]:
     return [folder for folder, record in runs if not _is_complete(folder, record, root, tracking_uri)]
 
 
-def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> tuple[list[str], list[str]]:
-    """Send runs and return one line per run sent and one per unreadable run.
+def _send(
+    root: Path, tracker: Tracker, folders: Iterable[Path], cells: Iterable[tuple[str, str]]
+) -> tuple[list[str], list[str]]:
+    """Send runs, and end their cells and `cells`; return a line per run sent and per unreadable run or cell.
 
     A lock admits one session at a time, so that no run is created twice in MLflow.
     """
@@ -177,30 +208,43 @@ def _send(root: Path, tracker: Tracker, folders: Iterable[Path]) -> tuple[list[s
                 raise
             except HeadwayError as error:
                 unreadable.append(f"{folder.name} is not sent to MLflow: {error}")
-        _end_cells(root, tracker, sent)
+        unreadable += _end_cells(root, tracker, {*cells, *((run.study, run.cell) for run in sent)})
     return [f"{record.run_id} is up to date in MLflow" for record in sent], unreadable
 
 
-def _end_cells(root: Path, tracker: Tracker, sent: Iterable[RunRecord]) -> None:
-    """End the MLflow parent runs of the cells of `sent` runs, unless a run of the cell is still training."""
+def _end_cells(root: Path, tracker: Tracker, places: Collection[tuple[str, str]]) -> list[str]:
+    """End the MLflow parent runs of cells, each (study, cell), unless a run of the cell is still training.
+
+    Their summaries are sent. Returns a line per unreadable one.
+    """
     # A session that ended before it sent its runs did not end their cells either.
-    cells: dict[tuple[str, str], list[RunRecord]] = {(run.study, run.cell): [] for run in sent}
+    cells: dict[tuple[str, str], list[RunRecord]] = {place: [] for place in places}
+    unreadable: list[str] = []
     if not cells:
-        return
+        return unreadable
     for folder in sorted(run_folders(root)):
         with suppress(HeadwayError):
             record = RunRecord.read(folder)
             if (runs := cells.get((record.study, record.cell))) is not None:
                 runs.append(record)
-    for runs in cells.values():
+    for (study, cell), runs in cells.items():
         newest = {run.seed: run for run in sorted(runs, key=lambda run: run.started)}.values()
         statuses = {run.settled_status for run in newest}
-        if "RUNNING" in statuses:
+        if not newest or "RUNNING" in statuses:
+            continue
+        if cell_summary_file(root, study, cell).exists():
+            try:
+                send_cell(root, tracker, study, cell, status_of_all(statuses))
+            except TrackingError:
+                raise
+            except HeadwayError as error:
+                unreadable.append(str(error))
             continue
         [*_, last] = newest
         _, parent = tracker.cell(last.study, last.cell, last.parameters, {}, running=False)
         ended = max(run.ended or run.started for run in newest)
         tracker.end(parent, status_of_all(statuses), ended)
+    return unreadable
 
 
 def _ended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:

@@ -1,0 +1,72 @@
+"""What belongs to a cell rather than to one of its runs, stored beside them and sent to its MLflow run."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Self
+
+from headway.config.schema import build
+from headway.contracts import HeadwayError
+from headway.store.atomic_files import read_json, write_json
+from headway.store.run_folder import Process, Status, cell_summary_file
+from headway.store.tracking.client import Tracker
+
+
+@dataclass(frozen=True)
+class CellSummary:
+    """Contents of a cell's summary file, which the session that ends the cell writes."""
+
+    study: str
+    cell: str
+    parameters: Mapping[str, str]
+    session: Process
+    tracking_uri: str | None
+    status: Status
+    ended: str
+    """UTC, ISO 8601."""
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    """Mean returns of the rules, and the energy of the last session that trained the cell."""
+    sent: tuple[str, ...] = ()
+    """URIs of the MLflow servers and databases that have it."""
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a summary file. Raises HeadwayError if it is broken."""
+        try:
+            return build(cls, read_json(path))
+        except HeadwayError as error:
+            raise HeadwayError(f"{path} is not the summary of a cell ({error}): remove it") from error
+
+    def keep(self, root: Path) -> None:
+        """Write the file, keeping the metrics that it holds already. Raises HeadwayError if that fails."""
+        path = cell_summary_file(root, self.study, self.cell)
+        known = CellSummary.read(path).metrics if path.exists() else {}
+        finite = {name: value for name, value in self.metrics.items() if math.isfinite(value)}
+        write_json(path, asdict(replace(self, metrics={**known, **finite})))
+
+
+def send_cell(root: Path, tracker: Tracker, study: str, cell: str, status: Status | None = None) -> None:
+    """Send a cell's summary and end its parent run in MLflow, with `status` or by default the stored one.
+
+    Values that MLflow has are not sent again. Raises HeadwayError if the file is missing or broken.
+    """
+    path = cell_summary_file(root, study, cell)
+    summary = CellSummary.read(path)
+    _, parent = tracker.cell(study, cell, summary.parameters, {}, running=False)
+    tracker.finish(parent, status or summary.status, summary.ended, summary.metrics, ())
+    write_json(path, asdict(replace(summary, sent=tuple({*summary.sent, tracker.uri}))))
+
+
+def ended_cells(root: Path) -> tuple[list[CellSummary], list[str]]:
+    """Return the summaries that no other live session can be sending, and one line per unreadable file."""
+    summaries, lines = [], []
+    for path in sorted(root.glob("*/*.summary.json")):
+        try:
+            summary = CellSummary.read(path)
+        except HeadwayError as error:
+            lines.append(str(error))
+            continue
+        if summary.session == Process.current() or not summary.session.may_live():
+            summaries.append(summary)
+    return summaries, lines
