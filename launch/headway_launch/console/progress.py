@@ -22,12 +22,13 @@ class JobProgress:
     seeds: tuple[int, ...]
     iterations: int
     mode: str
-    """Evaluation mode of the return shown."""
+    """Evaluation mode of the return shown first."""
     iteration_steps: int
     """Environment steps per seed and iteration."""
     status: Status = "waiting"
     iteration: int = 0
-    evaluation_return: float | None = None
+    returns: dict[str, float] = field(default_factory=dict)
+    """Mean return of the last evaluation in each mode."""
     label: str = ""
     """Name of its cell if the session has several."""
     traceback: str = ""
@@ -44,8 +45,8 @@ class JobProgress:
                 # Measured from the end of the first iteration, which includes start-up and compilation.
                 self.iteration = iteration
                 self._marks.append((wall_s, iteration, env_steps))
-            case EvaluationFinished(mode=self.mode, mean_return=mean_return):
-                self.evaluation_return = mean_return
+            case EvaluationFinished(mode=mode, mean_return=mean_return):
+                self.returns[mode] = mean_return
             case Finished(stopped=stopped):
                 self.status = "stopped" if stopped else "finished"
             case Failed():
@@ -57,6 +58,11 @@ class JobProgress:
         last = f"..{self.seeds[-1]}" if len(self.seeds) > 1 else ""
         seeds = f"seed{'s' if last else ''} {self.seeds[0]}{last}"
         return f"{self.label}, {seeds}" if self.label else seeds
+
+    @property
+    def evaluation_return(self) -> float | None:
+        """Mean return of the last evaluation in `mode`; None before the first."""
+        return self.returns.get(self.mode)
 
     @property
     def env_steps(self) -> int:
@@ -96,9 +102,19 @@ class JobProgress:
             f"{self.iteration}/{self.iterations}",
             f"{self.env_steps:,} steps",
             f"{speed:,.0f} steps/s" if speed is not None and training else "",
-            "" if self.evaluation_return is None else f"return {self.evaluation_return:.4g}",
+            self._returns(),
             f"{duration(left)} left" if left is not None and training else self.status,
         )
+
+    def _returns(self) -> str:
+        """Return `return 133.1 (sampled 5.944)`; empty before the first evaluation.
+
+        A greedy policy may stay the same for a long time while the probabilities of its actions change.
+        """
+        if self.evaluation_return is None:
+            return ""
+        others = [f"{mode} {value:.4g}" for mode, value in self.returns.items() if mode != self.mode]
+        return f"return {self.evaluation_return:.4g}" + (f" ({', '.join(others)})" if others else "")
 
 
 def duration(seconds: float) -> str:

@@ -41,6 +41,8 @@ _CELL_COLUMNS = (
     "kWh",
     CO2_HEADING,
 )
+_MAX_UNCHANGED = 3
+"""Most seeds that are named because training has not changed their return."""
 _OPTIONAL = ("steps/s", CO2_HEADING)
 """Columns left out first on a narrow terminal."""
 
@@ -178,6 +180,7 @@ def print_results(
     title = f"{config.algo.get('name')} on {config.env.id}"
     print_table(*without_empty(columns, rows, (CO2_HEADING,)), title, ("status",), _OPTIONAL)
     _print_notes(results)
+    _print_unchanged(results, config.evaluation.modes)
     if rules:
         print()
         print_comparison(str(config.algo["name"]), _final_episodes(config, results), rules)
@@ -220,6 +223,34 @@ def _print_notes(results: Sequence[SeedResult]) -> None:
             f"no AUC for {counted(without, 'run')}: fewer than {FEWEST_POINTS} evaluations "
             "(evaluation.every sets the interval)"
         )
+
+
+def _print_unchanged(results: Sequence[SeedResult], modes: Sequence[str]) -> None:
+    """Print which seeds' policies returned the same in every evaluation, that before training included."""
+    from headway.store.parquet_log import read_curve
+
+    finished = [result for result in results if result.status == "FINISHED"]
+    curves = [
+        {
+            mode: list(read_curve(Path(result.directory), f"evaluation_{mode}/return").values())
+            for mode in modes
+        }
+        for result in finished
+    ]
+    first = modes[0]
+    unchanged = [
+        (result.seed, curve)
+        for result, curve in zip(finished, curves, strict=True)
+        if len(curve[first]) > 1 and len(set(curve[first])) == 1
+    ]
+    for seed, curve in unchanged[:_MAX_UNCHANGED]:
+        others = [f"{mode} return from {curve[mode][0]:.4g} to {curve[mode][-1]:.4g}" for mode in modes[1:]]
+        print_line(
+            f"seed {seed}: the {first} return was {curve[first][0]:.4g} in every evaluation, also before "
+            f"training; {''.join(f'{other}; ' for other in others)}train longer (env_steps)"
+        )
+    if len(unchanged) > _MAX_UNCHANGED:
+        print_line(f"and {len(unchanged) - _MAX_UNCHANGED} more seeds likewise")
 
 
 def _headings(columns: Sequence[str], estimated: bool, episodes: Collection[int]) -> tuple[str, ...]:

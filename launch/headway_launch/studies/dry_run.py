@@ -166,8 +166,8 @@ def _print_totals(
     cells = "the cell" if len(paces) == 1 else f"each of {len(paces)} cells"
     print(
         f"The estimate is from at least {fewest} iterations and one evaluation of {cells}, measured with "
-        f"{parallel} processes in parallel; it assumes that later iterations take as long and this "
-        "machine stays as busy."
+        f"{counted(parallel, 'training')} in parallel; it assumes that later iterations take as long and "
+        "this machine stays as busy."
     )
     if backend == "ray":
         print(

@@ -217,6 +217,8 @@ def type_name(hint: Any) -> str:  # noqa: ANN401 - any annotation
         return "mapping"
     if isinstance(origin, type) and issubclass(origin, Sequence):
         inner = type_name(arguments[0])
+        if arguments[0] is Any:
+            return "list"
         return f"list of {inner}s" if inner in ("number", "whole number") else f"list of {inner}"
     if hint is NoneType:
         return "null"
@@ -318,6 +320,8 @@ def _wrong_type(wanted: str, value: object, key: str) -> HeadwayError:
     hint = _number_hint(value, wanted) if isinstance(value, str) else ""
     if wanted == "text" and kind in ("true or false", "a whole number", "a number"):
         hint = f"; write it in quotes (in a shell, in two pairs): \"{key}='{shown(value)}'\""
+    if wanted.startswith("list") and isinstance(value, str) and value.isidentifier():
+        hint = f"; write {key}=[{value}]"
     article = "a " if wanted.startswith(("number", "whole number", "list", "mapping")) else ""
     return HeadwayError(f"{key}={shown(value)} is {kind}, where {article}{wanted} is wanted{hint}")
 

@@ -148,3 +148,13 @@ def test_on_a_terminal_the_count_stays_in_place_and_goes(
     assert drawn.count("a line that stays\n") == 1
     assert "days simulated: 2 of 2" in drawn.split("a line that stays")[1]
     assert drawn.endswith("\x1b[1A\x1b[2K")  # one line up, and clear it
+
+
+def test_the_return_of_sampled_actions_is_shown_beside_the_greedy_one() -> None:
+    """The greedy policy may not change for long, although training goes on."""
+    progress = job(0, "ippo", 5)
+    progress.take(EvaluationFinished(5, 5000, "sampled", False, Usage(), -12.34567))
+    for width in (80, 120):
+        line = lines_of([progress], width, 24)[-1]
+        assert "return 350 (sampled -12.35)" in line
+        assert line.endswith("0:00:10 left")

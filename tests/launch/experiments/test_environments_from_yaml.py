@@ -163,7 +163,7 @@ def test_wrappers_that_hide_or_do_not_fit_are_named_before_training(wrappers: st
         ),
         (
             ("env=trivial", "env.wrappers=frame_stack_v1"),
-            "env.wrappers='frame_stack_v1' is text, where a list",
+            r"is text, where a list is wanted; write env.wrappers=\[frame_stack_v1\]",
         ),
         (("env=trivial", "env.wrappers=[{name: clip_reward_v0, _target_: x}]"), "_target_.* is not allowed"),
         (("env=os.path",), "os is not an installed package that depends on PettingZoo"),

@@ -1,0 +1,34 @@
+"""The lines below the table of results."""
+
+from pathlib import Path
+
+import pytest
+
+from headway.store.parquet_log import RunLog
+from headway_launch.runner.results import SeedResult, _print_unchanged
+
+
+@pytest.mark.parametrize(
+    ("greedy", "line"),
+    [
+        (
+            [89.9, 89.9, 89.9],
+            "seed 3: the greedy return was 89.9 in every evaluation, also before training; "
+            "sampled return from -5 to 7; train longer (env_steps)\n",
+        ),
+        ([89.9, 89.9, 90.0], ""),
+        ([89.9], ""),
+    ],
+)
+def test_a_policy_whose_greedy_actions_have_not_changed_is_named(
+    tmp_path: Path, greedy: list[float], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Such a run looks dead although the probabilities of its actions change."""
+    log, sampled = RunLog(tmp_path), [-5.0, 0.0, 7.0]
+    for iteration, values in enumerate(zip(greedy, sampled, strict=False)):
+        returns = dict(zip(("evaluation_greedy/return", "evaluation_sampled/return"), values, strict=True))
+        log.append("curve", [{"iteration": iteration, "env_steps": 10 * iteration, "wall_s": 1.0, **returns}])
+    log.commit(len(greedy))
+    result = SeedResult(3, "FINISHED", "run-3", str(tmp_path), 89.9, None, 20, None, {}, {})
+    _print_unchanged([result], ("greedy", "sampled"))
+    assert capsys.readouterr().err == line
