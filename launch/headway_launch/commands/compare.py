@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
 
 if TYPE_CHECKING:
     from headway.events import Row
@@ -17,11 +17,14 @@ if TYPE_CHECKING:
     from headway_launch.experiments.compose import Experiment
     from headway_launch.runner.stored_run import StoredRun
 
+_MAX_DIFFERENCES = 3
+"""Most differences between environments that an error names."""
+
 EXAMPLES = """\
 examples:
   headway compare bus --episodes 200
   headway compare bus --episodes 200 --against always_move --metrics return,mean_wait_min,headway_cv
-  headway compare bus --rules always_move,headway_holding_0.9
+  headway compare bus --rules always_move,headway_holding_0.9 --where preset=bus_tuned
   headway compare env=bus env.args.scenario=corridor --episodes 20        rules alone, without training
   headway compare experiment=intersection_study --against human --metrics outflow_vph,collisions
 
@@ -52,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--metrics", default="return", help="metrics to compare, comma-separated (default: return)"
     )
+    add_where_argument(parser)
     add_store_argument(parser)
 
 
@@ -160,7 +164,7 @@ def _subject(arguments: argparse.Namespace) -> _Subject:
             f"or omit {arguments.study!r} to compare rules alone"
         )
     try:
-        cells = _cells(existing_store(arguments.store), arguments.study)
+        cells = _cells(existing_store(arguments.store), arguments.study, arguments.where)
     except HeadwayError as error:
         known = options()
         for group in ("env", "experiment"):
@@ -184,8 +188,8 @@ def _require_for_rules(words: Sequence[str]) -> None:
         raise HeadwayError("no environment given; add env=ENV or experiment=EXPERIMENT")
 
 
-def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
-    """Return the finished runs of a study by label.
+def _cells(root: Path, study: str, where: Sequence[str]) -> Mapping[str, list["StoredRun"]]:
+    """Return the finished runs of a study for which `where` holds, by label.
 
     Raises HeadwayError if there are none or if their evaluation environments differ.
     """
@@ -195,12 +199,27 @@ def _cells(root: Path, study: str) -> Mapping[str, list["StoredRun"]]:
 
     cells = {
         label: [StoredRun.read(root, Path(row.directory)) for row in members]
-        for label, members in labelled_cells(finished_runs(root, study)).items()
+        for label, members in labelled_cells(finished_runs(root, study, where)).items()
     }
-    first, *others = [members[0].experiment.evaluated_env for members in cells.values()]
-    if any(other != first for other in others):
-        raise HeadwayError(f"study {study!r} holds several environments; compare a study that holds one")
+    environments = [members[0].experiment.evaluated_env for members in cells.values()]
+    if differing := _differing(environments):
+        more = "; ..." if len(differing) > _MAX_DIFFERENCES else ""
+        shown = "; ".join(f"{key} ({values})" for key, values in list(differing.items())[:_MAX_DIFFERENCES])
+        raise HeadwayError(
+            f"study {study!r} holds several environments, which differ in {shown}{more}: choose one, "
+            f"such as --where '{next(iter(differing))}=...'"
+        )
     return cells
+
+
+def _differing(environments: Sequence[Mapping[str, object]]) -> dict[str, str]:
+    """Return the values of each key in which evaluation environments differ."""
+    from headway_launch.experiments.parameters import flat
+
+    settings = [dict(flat({"env": environment})) for environment in environments]
+    keys = dict.fromkeys(key for each in settings for key in each)
+    values = {key: list(dict.fromkeys(str(each.get(key)) for each in settings)) for key in keys}
+    return {key: ", ".join(found) for key, found in values.items() if len(found) > 1}
 
 
 def _metrics(names: str, known: Sequence[str]) -> tuple[str, ...]:

@@ -4,8 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
 from headway_launch.console.output_files import write_figure
 
 if TYPE_CHECKING:
@@ -36,13 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="evaluation_greedy/return",
         help="column of the curve; a name without group is of evaluation_greedy (default: return)",
     )
-    parser.add_argument(
-        "--where",
-        action="append",
-        default=[],
-        metavar="CONDITION",
-        help="only runs for which this holds, as in `headway runs`; repeatable",
-    )
+    add_where_argument(parser)
     parser.add_argument("--no-rules", action="store_true", help="omit the rules")
     parser.add_argument(
         "--lower-is-better", action="store_true", help="the metric is a cost, such as a waiting time"
@@ -55,16 +48,12 @@ def execute(arguments: argparse.Namespace) -> int:
     """Plot, and print the path of the picture."""
     from headway.stats import frames, plots
     from headway.store.query import RunSelection
-    from headway_launch.studies.run_filter import filter_runs
     from headway_launch.studies.runs import curves_of, finished_runs, rules_beside
 
     root = existing_store(arguments.store)
     named: str = arguments.metric
     metric = named if "/" in named else f"evaluation_greedy/{named}"
-    chosen = tuple(filter_runs(finished_runs(root, arguments.study), arguments.where))
-    if not chosen:
-        raise HeadwayError(f"--where: no finished run of {arguments.study} matches; see headway runs --where")
-    runs = RunSelection(root, chosen)
+    runs = RunSelection(root, tuple(finished_runs(root, arguments.study, arguments.where)))
     output = Path(arguments.output or f"{arguments.study}.png")
     means = frames.mean_curves(curves_of(runs, metric))
     remark = " (lower is better)" if arguments.lower_is_better else ""

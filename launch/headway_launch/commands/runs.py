@@ -89,13 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--algo", help="only runs of this algorithm")
     parser.add_argument("--seed", help="only these seeds: 7, 0,1,2 or 0..49")
     parser.add_argument("--status", help="only runs with this status: " + ", ".join(STATUSES))
-    parser.add_argument(
-        "--where",
-        action="append",
-        default=[],
-        metavar="CONDITION",
-        help="only runs for which this holds, such as 'final_reward>300'; repeatable",
-    )
+    add_where_argument(parser)
     parser.add_argument(
         "--sort", default="", metavar="FIELDS", help="fields to sort by, such as 'final_reward desc, seed'"
     )
@@ -139,6 +133,17 @@ def add_store_argument(parser: argparse.ArgumentParser) -> None:
     """Add --store, shared by the commands that read the store."""
     root = StoreConfig.root
     parser.add_argument("--store", default=root, help=f"folder of the store (default: {root})")
+
+
+def add_where_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --where, shared by the commands that choose runs of a study."""
+    parser.add_argument(
+        "--where",
+        action="append",
+        default=[],
+        metavar="CONDITION",
+        help="only runs for which this holds, such as 'final_reward>300'; repeatable",
+    )
 
 
 def existing_store(folder: str) -> Path:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.console.output import print_line
+from headway_launch.studies.run_filter import filter_runs
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -17,17 +18,19 @@ if TYPE_CHECKING:
     from headway.store.query import RunSelection
 
 
-def finished_runs(root: Path, study: str) -> list["RunRow"]:
-    """Return the newest finished run of each cell and seed of a study, oldest first.
+def finished_runs(root: Path, study: str, where: Sequence[str] = ()) -> list["RunRow"]:
+    """Return the newest finished run of each cell and seed of a study for which `where` holds, oldest first.
 
-    Prints how many runs are left out.
+    Prints how many runs are left out because they have not finished, or a newer one of their seed has.
 
-    Raises HeadwayError if there is no such study or no run in it has finished.
+    Raises HeadwayError if there is no such study or no such run, and for an invalid condition.
     """
     included, excluded = included_runs(study_runs(root, study), study)
     if excluded:
         print_line(f"headway: runs of {study} left out: {', '.join(excluded)}")
-    return included
+    if chosen := filter_runs(included, where):
+        return chosen
+    raise HeadwayError(f"--where: no finished run of {study} matches; see headway runs --where")
 
 
 def study_runs(root: Path, study: str) -> list["RunRow"]:

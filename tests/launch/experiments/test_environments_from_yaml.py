@@ -290,7 +290,9 @@ def test_cells_with_different_training_environments_are_compared(
     assert run(["run", "env=trivial", *TINY, "env.args.agents=3"]) == 0
     capsys.readouterr()
     assert run(["compare", "default", "--episodes", "2"]) == 2
-    assert "holds several environments" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "holds several environments, which differ in env.args.agents (3, 2): choose one, such as" in error
+    assert run(["compare", "default", "--episodes", "2", "--where", "env.args.agents=2"]) == 0
 
 
 @pytest.mark.slow
