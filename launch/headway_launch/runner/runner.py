@@ -188,7 +188,9 @@ class Runner:
                 else f"--study {study}"
             )
             waiting = f"{counted(not_started, 'run')} not started; " if not_started else ""
-            print_line(f"headway: {waiting}to continue: {own_name()} resume {named}{option}")
+            failed = any(result.status == "FAILED" for result in results)
+            when = "to continue, once the cause of the failure is mended" if failed else "to continue"
+            print_line(f"headway: {waiting}{when}: {own_name()} resume {named}{option}")
 
     def _print_store_share(self) -> None:
         """Print the store's share of the training time, in the training processes and in this one."""
