@@ -59,7 +59,7 @@ LAYERS = {
         "acting",
         "kernels",
     ),
-    "headway_launch": ("commands", "report", "studies", "runner", "experiments", "console"),
+    "headway_launch": ("commands", "web", "report", "studies", "runner", "experiments", "console"),
 }
 """Folders of a package, from the top: each imports only from those after it."""
 TESTS_OF = {

@@ -64,7 +64,7 @@ class Page:
 
     def wait_for(self, text: str) -> None:
         """Wait until the page shows a text."""
-        self.wait_until(f"document.body.innerText.includes({json.dumps(text)})")
+        self.wait_until(f"document.body?.innerText.includes({json.dumps(text)})")
 
     def click(self, text: str) -> None:
         """Click on the element with exactly this text, once it exists."""

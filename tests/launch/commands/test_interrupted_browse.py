@@ -10,13 +10,11 @@ from types import SimpleNamespace
 from typing import cast
 
 import pytest
-from command_lines import Refused
 from small_runs import SMALL
 
 from headway.events import Failed
 from headway.store.index import RunIndex
 from headway.store.session import Run
-from headway_launch.commands import browse
 from headway_launch.runner.recorder import JobRecorder
 from headway_launch.runner.training_process import TrainingProcess
 
@@ -63,16 +61,3 @@ def test_a_store_that_cannot_keep_a_traceback_does_not_end_the_other_jobs(
     recording.take(Failed("it broke", "Traceback"))
     assert recording.failure is not None
     assert "traceback.txt" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_pages_that_never_answer_are_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
-) -> None:
-    server = tmp_path / "python"
-    server.write_text("#!/bin/sh\necho still thinking\nexec sleep 60\n")
-    server.chmod(0o755)
-    monkeypatch.setattr("sys.executable", str(server))
-    monkeypatch.setattr(browse, "_READY_S", 0.5)
-    line = refused("browse", "--store", str(tmp_path), "--port", "50517")
-    assert "did not answer within 0.5 s: still thinking" in line

@@ -3,6 +3,7 @@
 Every operation can be repeated: it queries what MLflow already has.
 """
 
+import json
 import logging
 import os
 import time
@@ -25,6 +26,28 @@ _MAX_TEXT = 5000  # longest tag; parameters take 6000
 _DATABASE = "mlflow.db"
 _CELL_TAG = "headway.cell"
 _RUN_TAG = "headway.run_id"
+RUNS_VIEW = "headway"
+"""Key of the view of a study's runs in MLflow's UI, for `viewStateShareKey` in its address."""
+_VIEW_COLUMNS = {
+    "tags.`algorithm`": 120,
+    "tags.`seed`": 70,
+    "metrics.`summary/final_reward`": 200,
+    "metrics.`summary/auc`": 130,
+    "metrics.`summary/kwh`": 130,
+}
+"""Columns of that view with their widths, pixels."""
+_VIEW_TAGS = {
+    "mlflow.experimentKind": "custom_model_development",  # not for generative AI
+    f"mlflow.sharedViewState.{RUNS_VIEW}": json.dumps(
+        {
+            "selectedColumns": list(_VIEW_COLUMNS),
+            "columnOrder": list(_VIEW_COLUMNS),
+            "columnWidths": _VIEW_COLUMNS,
+            "orderByKey": "metrics.`summary/final_reward`",
+            "orderByAsc": False,
+        }
+    ),
+}
 _QUIET = {
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "DO_NOT_TRACK": "true",
@@ -114,6 +137,13 @@ class Tracker:
         self._parameters(child, parameters)
         return child
 
+    def add_view(self, experiment: str) -> None:
+        """Add the view `RUNS_VIEW` to an experiment that lacks it."""
+        known = self._ask("get_experiment", experiment).tags
+        for name, text in _VIEW_TAGS.items():
+            if known.get(name) != text:
+                self._ask("set_experiment_tag", experiment, name, text)
+
     def points(self, child: str, started: str, points: Sequence[Point]) -> None:
         """Send points of the learning curve. MLflow only appends: send each point once."""
         from mlflow.entities import Metric
@@ -163,7 +193,7 @@ class Tracker:
 
         It is created under a lock and a temporary name, so that a killed session leaves no partial tables.
         """
-        path, draft = self.root / _DATABASE, self.root / f".{_DATABASE}.partial"
+        path, draft = database_path(self.root), self.root / f".{_DATABASE}.partial"
         if path.exists():
             return
         with self._locked("MLflow's database was created"):
@@ -182,7 +212,7 @@ class Tracker:
                 self._ask("restore_experiment", found.experiment_id)
             return str(found.experiment_id)
         location = (self.root / "mlflow-artifacts").as_uri() if self.local else None
-        return str(self._ask("create_experiment", study, artifact_location=location))
+        return str(self._ask("create_experiment", study, artifact_location=location, tags=_VIEW_TAGS))
 
     def _metrics(self, run: str, metrics: list[Any]) -> None:
         for first in range(0, len(metrics), _BATCH):
@@ -209,9 +239,14 @@ class Tracker:
         return _retry_while_locked(self._wait_s, self.uri, lambda: bound(*arguments, **named))
 
 
+def database_path(root: Path) -> Path:
+    """Return the path of the SQLite database in a store's root."""
+    return root.resolve() / _DATABASE
+
+
 def database_uri(root: Path) -> str:
     """Return the tracking URI of the SQLite database in a store's root."""
-    return f"sqlite:///{root.resolve() / _DATABASE}"
+    return f"sqlite:///{database_path(root)}"
 
 
 def require_answer(uri: str) -> None:
