@@ -89,7 +89,7 @@ benchmarks: $(COMPILED) ## measure the speed of this machine's installation
 notebooks: $(COMPILED) ## open the notebooks in JupyterLab; the first one trains a small study
 	@$(BIN)/jupyter lab --notebook-dir=notebooks $(ARGS)
 
-browse: $(STAMP) ## serve the store of runs in MLflow's pages
+browse: $(STAMP) ## serve studies, reports and runs as web pages
 	@$(BIN)/headway browse $(ARGS)
 
 clean: ## remove the virtual environment and caches; runs are kept

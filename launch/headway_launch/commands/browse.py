@@ -17,9 +17,9 @@ examples:
   headway browse
   headway browse --port 5050 --store runs
 
-Serves the studies, their reports and their runs in the MLflow UI, read-only, to who has the printed address:
-other users of the machine are refused. From another machine: ssh -L 5000:127.0.0.1:5000 MACHINE, then open
-the same address there.
+Serves the studies, their reports and, in MLflow, their runs, read-only. The printed address has a token;
+without it, other users of the machine are refused. To read the pages on another machine, forward the port,
+ssh -L 5000:127.0.0.1:5000 MACHINE, and open the printed address there.
 """
 
 _HOST = "127.0.0.1"
@@ -59,7 +59,7 @@ def execute(arguments: argparse.Namespace) -> int:
         with StopRequests() as requests:
             Thread(target=server.serve_forever, daemon=True).start()
             print(f"http://{_HOST}:{arguments.port}/?token={application.token}", flush=True)
-            print_line("headway: only who has this address can open it; Ctrl-C stops")
+            print_line("headway: open this address; other users are refused without its token. Ctrl-C stops")
             while not requests.count:
                 time.sleep(0.2)
             server.shutdown()

@@ -51,7 +51,7 @@ _COMMANDS = {
     "plot": _Command("plot a study's learning curves", "plot"),
     "render": _Command("render an episode of a policy or a rule as GIF or PNG", "render"),
     "report": _Command("write a study's report: one page with tables and plots", "report"),
-    "browse": _Command("browse the store in the MLflow UI", "browse"),
+    "browse": _Command("browse studies, reports and runs in a web browser", "browse"),
     "sync": _Command("send run data that MLflow lacks", "sync"),
     "data": _Command(
         "create, describe, plot and validate scenarios of the bus environment",

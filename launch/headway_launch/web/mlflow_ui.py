@@ -65,7 +65,8 @@ def runs_page(experiment: str, has_view: bool) -> str:
 
 def read_only_uri(database: Path) -> str:
     """Return the tracking URI with which SQLite refuses all changes of a database."""
-    return f"sqlite:///file:{quote(str(database))}?mode=ro&uri=true"
+    path = quote(quote(str(database)))  # SQLAlchemy and SQLite each undo one
+    return f"sqlite:///file:{path}?mode=ro&uri=true"
 
 
 def _mlflow_application(root: Path) -> "WSGIApplication":
