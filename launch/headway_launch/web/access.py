@@ -1,4 +1,4 @@
-"""Access to the pages: for who has the token of this start, and from the pages themselves."""
+"""Access to the pages: only with the token of this start, and only from the pages themselves."""
 
 import secrets
 from collections.abc import Iterable
