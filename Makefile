@@ -23,7 +23,7 @@ WARM_UP := $(BIN)/python -m headway_launch.runner.warm_up
 PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
-.PHONY: help setup experiment sweep test check lint format types benchmarks notebooks browse clean
+.PHONY: help setup experiment sweep test check lint format types robustness benchmarks notebooks browse clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -59,11 +59,11 @@ sweep: $(COMPILED) ## train one experiment over many seeds: CONFIG=bus_mappo SEE
 	@$(BIN)/headway sweep experiment=$(CONFIG) seed=$(SEEDS) $(ARGS)
 
 # One thread a process: more of them only wait for each other on busy cores.
-test check: export OMP_NUM_THREADS = 1
-test check: export OPENBLAS_NUM_THREADS = 1
-test check: export MKL_NUM_THREADS = 1
+test check robustness: export OMP_NUM_THREADS = 1
+test check robustness: export OPENBLAS_NUM_THREADS = 1
+test check robustness: export MKL_NUM_THREADS = 1
 # Tests start hundreds of processes, which then read what the first of them compiled.
-test check: export PYTHONDONTWRITEBYTECODE =
+test check robustness: export PYTHONDONTWRITEBYTECODE =
 
 test: $(COMPILED) ## run the tests that take little time: those without a mark
 	@$(PYTEST) -m "not slow and not cluster and not browser and not data" $(ARGS)
@@ -82,6 +82,9 @@ format: $(STAMP) ## format the code
 
 types: $(STAMP) ## check the types
 	@$(BIN)/mypy
+
+robustness: $(COMPILED) ## give faults of many kinds and count how they end: ARGS="--scale hours"
+	@$(BIN)/python -m tests.robustness $(ARGS)
 
 benchmarks: $(COMPILED) ## measure the speed of this machine's installation
 	@$(BIN)/python -m benchmarks $(ARGS)
