@@ -13,25 +13,25 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from headway_launch.console.tables import print_table
+from headway_launch.console.tables import Value, print_table
 from tests.robustness.outcomes import FAILURES, SCALES, Outcome, Tally
 
-MODULES = {"overrides": "overrides", "files": "damage"}
-"""Module of each area, which offers `campaign(scale, seed, folder) -> list[Tally]`."""
+AREAS = ("overrides", "files")
+"""Modules, each of which offers `campaign(scale, seed, folder) -> list[Tally]`."""
 
 
 def main() -> None:
     """Run the campaign; see the module."""
     parser = argparse.ArgumentParser(description="Give Headway faults of many kinds and count how they end.")
     parser.add_argument("--scale", choices=SCALES, default="minutes", help="number of cases")
-    parser.add_argument("--only", choices=MODULES, nargs="+", default=list(MODULES), metavar="AREA")
+    parser.add_argument("--only", choices=AREAS, nargs="+", default=AREAS, metavar="AREA")
     parser.add_argument("--seed", type=int, help="repeats the campaign that printed it")
     arguments = parser.parse_args()
     seed = secrets.randbits(32) if arguments.seed is None else arguments.seed
     print(f"python -m tests.robustness --scale {arguments.scale} --seed {seed}", flush=True)
     tallies: list[Tally] = []
     for area in arguments.only:
-        campaign = import_module(f"tests.robustness.{MODULES[area]}").campaign
+        campaign = import_module(f"tests.robustness.{area}").campaign
         with tempfile.TemporaryDirectory(prefix="headway-robustness-") as folder:
             tallies += campaign(SCALES[arguments.scale], seed, Path(folder))
     sys.exit(report(tallies))
@@ -39,11 +39,11 @@ def main() -> None:
 
 def report(tallies: Sequence[Tally]) -> int:
     """Print the table; return the exit code."""
-    rows = [
+    rows: list[tuple[Value, ...]] = [
         (tally.area, tally.counts.total(), *(tally.counts[outcome] for outcome in Outcome))
         for tally in tallies
     ]
-    print_table(("area", "tried", *Outcome), rows)
+    print_table(("area", "tried", *map(str, Outcome)), rows)
     return int(any(tally.counts[outcome] for tally in tallies for outcome in FAILURES))
 
 

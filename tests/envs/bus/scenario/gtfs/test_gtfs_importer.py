@@ -3,13 +3,14 @@
 import datetime as dt
 import os
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from raw_feeds import SMALL, write_gtfs
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
@@ -21,49 +22,6 @@ from headway_envs.bus.scenario.tables import Tables, check_tables
 FeedWriter = Callable[..., Path]
 BRT = Path(__file__).parents[6] / "shared" / "data" / "sunt_raw" / "brt_gtfs"
 
-SMALL: Mapping[str, str] = {
-    "agency": "agency_id,agency_name,agency_url,agency_timezone\na,Town Buses,http://x,UTC\n",
-    "stops": (
-        "stop_id,stop_name,stop_lat,stop_lon,parent_station,location_type\n"
-        "A,Market,10.000,20.000,,0\n"
-        "B,Mill,10.010,20.000,,0\n"
-        "C1,Quay east,10.030,20.000,C,0\n"
-        "C2,Quay west,10.030,20.001,C,0\n"
-        "C,Quay,10.030,20.000,,1\n"
-        "D,Hill,10.040,20.000,,0\n"
-    ),
-    "routes": (
-        "route_id,agency_id,route_short_name,route_long_name,route_type\n"
-        "r1,a,1,One,3\n"
-        "metro,a,M,Metro,1\n"
-    ),
-    "trips": (
-        "route_id,service_id,trip_id,direction_id\n"
-        "r1,work,out,0\n"
-        "r1,work,back,1\n"
-        "r1,rest,sun,0\n"
-        "metro,work,under,0\n"
-    ),
-    "stop_times": (
-        "trip_id,arrival_time,departure_time,stop_id,stop_sequence\n"
-        "out,08:00:00,08:01:00,A,1\n"
-        "out,,,B,25\n"
-        "out,,,C1,44\n"
-        "out,08:09:00,08:09:00,D,60\n"
-        "back,23:58:00,23:58:00,D,1\n"
-        "back,24:02:00,24:02:00,C2,2\n"
-        "back,25:10:00,25:10:00,A,3\n"
-        "sun,09:00:00,09:00:00,A,1\n"
-        "sun,09:05:00,09:05:00,D,2\n"
-        "under,07:00:00,07:00:00,A,1\n"
-        "under,07:05:00,07:05:00,D,2\n"
-    ),
-    "calendar": (
-        "service_id,monday,tuesday,wednesday,thursday,friday,saturday,sunday,start_date,end_date\n"
-        "work,1,1,1,1,1,0,0,20240506,20240519\n"
-        "rest,0,0,0,0,0,0,1,20240506,20240519\n"
-    ),
-}  # fmt: skip
 STOPS = "stop_id,stop_lat,stop_lon\n"
 TIMES = "trip_id,arrival_time,stop_id,stop_sequence\n"
 BOTH_TIMES = "trip_id,arrival_time,departure_time,stop_id,stop_sequence\n"
@@ -77,12 +35,7 @@ def write_feed(tmp_path: Path) -> FeedWriter:
     """(replaced files; None: left out) -> folder of the small feed."""
 
     def write(**changed: str | None) -> Path:
-        folder = tmp_path / "feed"
-        folder.mkdir(exist_ok=True)
-        for name, text in {**SMALL, **changed}.items():
-            if text is not None:
-                (folder / f"{name}.txt").write_text(text)
-        return folder
+        return write_gtfs(tmp_path / "feed", changed)
 
     return write
 

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from covering import quick_or_slow
+from raw_feeds import STOPS, SUNDAY, WEEKDAY, records, write_raw
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
@@ -18,50 +19,6 @@ from headway_envs.bus.scenario.tables import Tables, check_tables, read_tables, 
 
 Change = Callable[[pd.DataFrame], pd.DataFrame]
 SHARED = Path(__file__).parents[6] / "shared" / "data"
-WEEKDAY, SUNDAY = dt.date(2024, 8, 26), dt.date(2024, 9, 15)
-STOPS = 6
-
-
-def records(date: dt.date, trips: int = 20, board: float = 3.0, alight: float = 3.0) -> pd.DataFrame:
-    """Return trips of both directions of line 7, every half hour from 06:00, one minute between stops."""
-    trip, seq = np.repeat(np.arange(trips), STOPS), np.tile(np.arange(1, STOPS + 1), trips)
-    leaves = pd.Timestamp(date) + pd.to_timedelta(6 * 60 + 30 * trip, unit="min")
-    return pd.DataFrame(
-        {
-            "route_short_name": "0007",
-            "register_code": 500,
-            "direction_id": np.where(trip % 2, "V", "I"),
-            "pt_sequence": seq,
-            "stop_id": 9000 + np.where(trip % 2, STOPS + 1 - seq, seq),
-            "vehicle": np.where(trip % 2, "301", "201"),
-            "trip_id": [f"201_7_{number}" for number in trip],
-            "start_trip": leaves.astype(str),
-            "stop_time": (leaves + pd.to_timedelta(seq - 1, unit="min")).astype(str),
-            "n-boardings": np.where(seq < STOPS, board, 0.0),
-            "n-alighting": np.where(seq > 1, alight, 0.0),
-            "lag_loading": np.where(seq > 1, 10.0, 0.0),
-            "loading": 10.0,
-        }
-    )
-
-
-def write_raw(folder: Path, days: dict[dt.date, pd.DataFrame], nodes: bool = True) -> Path:
-    (folder / "od").mkdir(parents=True, exist_ok=True)
-    for date, frame in days.items():
-        frame.to_parquet(folder / "od" / f"od-{date}.parquet")
-    stops = [str(9000 + n) for n in range(1, STOPS + 1)]
-    pd.DataFrame({"stop_id": stops, "lat": -12.9 + 0.003 * np.arange(STOPS), "lon": -38.4}).to_parquet(
-        folder / "gtfs_bus_topique_02_2024.parquet"
-    )
-    if nodes:
-        times = pd.date_range("2024-03-04 05:00", "2024-03-05 00:55", freq="5min")
-        pd.concat(
-            pd.DataFrame(
-                {"time": times, "node": stop, "lat": -12.9, "lon": -38.4, "sobe": 2.0, "carregamento": -1.0}
-            )
-            for stop in stops
-        ).to_parquet(folder / "node_temporal_features_04-03-2024.parquet")
-    return folder
 
 
 def imported(raw: Path, **options: Any) -> Tables:  # noqa: ANN401 - any of the options
