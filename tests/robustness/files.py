@@ -122,7 +122,7 @@ def _stores(folder: Path) -> list[Material]:
     listed = ("runs", "--format", "json")
     reading = (
         listed, ("evaluate", name, "--episodes", "1"), ("report", "small"), ("plot", "small"),
-        ("compare", "small", "--episodes", "2"), ("diff", name, intact.name), ("render", name), ("sync",),
+        ("compare", "small", "--episodes", "2"), ("diff", name, intact.name), ("sync",),
         ("sweep", *_SMALL_RUNS[1:], "--dry-run"),
     )  # fmt: skip
     # As its session would have left it if it had been killed after the third iteration.
@@ -179,6 +179,7 @@ def try_case(materials: Sequence[Material], seed: int, case: int, folder: Path) 
             shown = f"{'; '.join(done)}: {shell_line(each)}: {last!r}"
         if worst not in FAILURES and outcome is not Outcome.ACCEPTED:
             worst = outcome
+    shown = shown or "; ".join(done)
     return worst, shown.replace(f"{folder}/", ""), signature
 
 

@@ -36,7 +36,7 @@ class Scale:
     storage: int
 
 
-MINUTES = Scale(overrides=500, files=40, kills=6, environments=20, storage=10)
+MINUTES = Scale(overrides=500, files=120, kills=6, environments=20, storage=10)
 """About ten minutes on two cores."""
 HOURS = Scale(overrides=5_000, files=1_000, kills=100, environments=200, storage=100)
 SCALES = {"minutes": MINUTES, "hours": HOURS}
