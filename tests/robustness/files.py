@@ -5,6 +5,7 @@
 repeats one case and leaves the damaged files in FOLDER.
 """
 
+import io
 import json
 import os
 import random
@@ -74,9 +75,7 @@ def build_materials(folder: Path) -> list[Material]:
         for material in materials:
             for words in material.commands:
                 _copy(material, folder / "checked")
-                ended, _ = _run(words, folder / "checked")
-                if outcome_of(ended) is not Outcome.ACCEPTED:
-                    raise SystemExit(f"undamaged files are refused: {shell_line(words)}: {ended.errors}")
+                _run_here(folder / "checked", words)  # also imports what they need, for all cases
     return materials
 
 
@@ -141,15 +140,19 @@ def _stores(folder: Path) -> list[Material]:
 
 def _build(folder: Path, *words: str) -> None:
     folder.mkdir()
-    before = Path.cwd()
+    _run_here(folder, words)
+
+
+def _run_here(folder: Path, words: Sequence[str]) -> None:
+    before, errors = Path.cwd(), io.StringIO()
     os.chdir(folder)
     try:
-        with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
+        with redirect_stdout(io.StringIO()), redirect_stderr(errors):
             code = run(words)
     finally:
         os.chdir(before)
     if code:
-        raise SystemExit(f"{shell_line(words)} ends with code {code}")
+        raise SystemExit(f"{shell_line(words)} on whole files ends with code {code}: {errors.getvalue()}")
 
 
 def try_case(materials: Sequence[Material], seed: int, case: int, folder: Path) -> tuple[Outcome, str, str]:

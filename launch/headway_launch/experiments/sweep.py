@@ -1,7 +1,8 @@
 """Composition of the cells of a sweep from one command line in Hydra's grammar."""
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import islice, product
+from math import prod
 
 from headway.config.schema import parse_seeds
 from headway.contracts.errors import HeadwayError
@@ -9,6 +10,8 @@ from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.experiments.options import options
 from headway_launch.experiments.parameters import session_settings
 
+_MAX_CELLS = 1_000
+"""Most combinations of one sweep."""
 _FORMS = "write KEY=a,b, KEY=choice(a,b) or KEY=range(0,5)"
 
 
@@ -26,9 +29,13 @@ def compose_sweep(overrides: Sequence[str]) -> list[Experiment]:
 def combinations(overrides: Sequence[str]) -> list[tuple[str, ...]]:
     """Return every combination of the values of `overrides`, with one value per key except `seed`.
 
-    Raises HeadwayError for an override without values to sweep.
+    Raises HeadwayError for an override without values to sweep, and for more than 1,000 combinations.
     """
-    return [tuple(chosen) for chosen in product(*(_swept_values(override) for override in overrides))]
+    values = [_swept_values(override) for override in overrides]
+    if prod(map(len, values)) > _MAX_CELLS:
+        longest = overrides[max(range(len(values)), key=lambda place: len(values[place]))]
+        raise HeadwayError(f"{longest}: a sweep has at most {_MAX_CELLS:,} combinations; give fewer values")
+    return list(product(*values))
 
 
 def _swept_values(override: str) -> list[str]:
@@ -53,7 +60,13 @@ def _swept_values(override: str) -> list[str]:
         return [f"{key}={option}" for option in matching]
     if not (parsed.is_choice_sweep() or parsed.is_range_sweep()):
         raise HeadwayError(f"{override} has no values to sweep; {_FORMS}")
-    return [f"{key}={option}" for option in parsed.sweep_string_iterator()]
+    try:
+        listed = list(islice(parsed.sweep_string_iterator(), _MAX_CELLS + 1))
+    except ValueError as error:  # a step of 0
+        raise HeadwayError(f"{override}: {error}; {_FORMS}") from error
+    if not listed:
+        raise HeadwayError(f"{override} has no values to sweep; {_FORMS}")
+    return [f"{key}={option}" for option in listed]
 
 
 def _seed_list(override: str, text: str) -> str:

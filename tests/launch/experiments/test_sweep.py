@@ -58,6 +58,9 @@ def test_a_repeated_cell_is_merged() -> None:
 @pytest.mark.parametrize(
     ("override", "part"),
     [
+        ("algo.epochs=range(3,0)", "has no values to sweep"),
+        ("algo.epochs=range(0,10000000)", "at most 1,000 combinations"),
+        ("algo.epochs=range(0,1,0)", "must not be zero"),
         ("store.root=a,b", "store takes one value per sweep"),
         ("backend.parallel=1,2", "backend.parallel takes one value"),
         ("algo.lr=interval(0,1)", "has no values to sweep; write KEY=a,b"),
