@@ -1,6 +1,7 @@
 """What a fault led to: how a command line ended, and the counts of a campaign."""
 
 import re
+import sys
 from collections import Counter
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -57,6 +58,9 @@ class Tally:
         if outcome in FAILURES and how_to_repeat:
             self.failures.append(how_to_repeat)
             print(f"{self.area}: {outcome}: {how_to_repeat}", flush=True)
+        if self.counts.total() % 100 == 0:
+            counts = ", ".join(f"{count} {name}" for name, count in self.counts.items())
+            print(f"{self.area}: {self.counts.total()} tried: {counts}", file=sys.stderr, flush=True)
 
 
 @dataclass(frozen=True)
@@ -70,17 +74,19 @@ class Ended:
 
 
 _NUMBER, _QUOTED = re.compile(r"\d+"), re.compile(r"'[^']*'|\"[^\"]*\"|[/\w.-]*/[/\w.-]*")
+_FOREIGN = re.compile(r"Traceback|unexpected|\w+Warning: ")
+"""What no line of Headway holds."""
 
 
 def outcome_of(ended: Ended) -> Outcome:
-    """Classify the end of a command line."""
-    lines = ended.errors.removesuffix("\n").split("\n")
-    told = all(line.startswith("headway:") and "unexpected" not in line for line in lines)
-    raw = any(category(char) in ("Cc", "Cf", "Cs") for line in lines for char in line.replace("\t", ""))
+    """Classify the end of a command line. Lines before the last are notices and progress."""
     if ended.code is None:
         return Outcome.HUNG
     if ended.code == 0 and "Traceback" not in ended.errors:
         return Outcome.ACCEPTED
+    lines = ended.errors.removesuffix("\n").split("\n")
+    told = lines[-1].startswith("headway:") and not _FOREIGN.search(ended.errors)
+    raw = any(category(char) in ("Cc", "Cf", "Cs") for line in lines for char in line.replace("\t", ""))
     return Outcome.CLEAR if ended.code in (1, 2) and told and not raw else Outcome.UNEXPECTED
 
 

@@ -48,6 +48,8 @@ def _write(text: str, code: int) -> Callable[[Sequence[str]], int]:
     [
         (_write("", 0), Outcome.ACCEPTED),
         (_write("headway: a notice\nheadway: seed=x is wrong; write 7\n", 2), Outcome.CLEAR),
+        (_write("seed 0 4/4\nheadway: cannot write x; free some space\n", 2), Outcome.CLEAR),
+        (_write("a.py:1: UserWarning: x\nheadway: no file; give one\n", 2), Outcome.UNEXPECTED),
         (_write("headway: unexpected KeyError: 'x' (--debug shows where)\n", 2), Outcome.UNEXPECTED),
         (_write("headway: one line\nand another\n", 2), Outcome.UNEXPECTED),
         (_write("headway: a\x1b[31mb\n", 2), Outcome.UNEXPECTED),
@@ -112,7 +114,7 @@ def test_a_lost_run_is_noticed(lost: str, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(forked, "run", command)
     outcome, shown, _ = try_case([_store(tmp_path / "store")], 1, 0, tmp_path / "case")
     assert outcome is (Outcome.ACCEPTED if lost == "listed" else Outcome.LOST)
-    assert ("one/run.json" in shown) == (lost != "listed")
+    assert "one/run.json" in shown
 
 
 def test_damage_changes_the_file_and_no_other(tmp_path: Path) -> None:
