@@ -106,7 +106,7 @@ def trial(root: Path, sweep: Sequence[str], kills: int, chance: random.Random) -
     after = _run_to_end(commands[kills % 2])
     for store in (whole, killed):
         sync_each(store)  # send what a busy session had no time for; nothing is sent twice
-    if _results(after) != _results(table):
+    if results_of(after) != results_of(table):
         return [f"tables differ:\n{table}\n{after}", *differences(whole, killed)]
     return differences(whole, killed)
 
@@ -121,10 +121,10 @@ def _strike(command: Sequence[str], root: Path, iterations: int, kill: Kill, cha
             if time.monotonic() > deadline:
                 raise SystemExit("the study makes no progress")
             time.sleep(_POLL_S)
-            processes = _processes(session.pid, kill.victim)
+            processes = processes_of(session.pid, kill.victim)
         time.sleep(chance.uniform(0.0, 1.0))
         was_alive, descendants = False, _children(session.pid) if session.poll() is None else []
-        for process in (_processes(session.pid, kill.victim) or processes)[:1]:
+        for process in (processes_of(session.pid, kill.victim) or processes)[:1]:
             was_alive = session.poll() is None and _send(process, kill)
         if kill.then is not None and session.poll() is None:
             time.sleep(chance.uniform(0.2, 2.0))
@@ -146,7 +146,7 @@ def _run_to_end(command: Sequence[str]) -> str:
     raise SystemExit(f"headway {' '.join(command)} ends with code {done.returncode}")
 
 
-def _results(table: str) -> list[list[str]]:
+def results_of(table: str) -> list[list[str]]:
     """Return of each cell its name, number of finished runs, reward, deviation and AUC, without costs."""
     return [line.split("\t")[:5] for line in table.splitlines()]
 
@@ -155,7 +155,8 @@ def _headway(command: Sequence[str]) -> list[str]:
     return [sys.executable, "-m", "headway_launch", *command]
 
 
-def _processes(session: int, victim: str) -> list[psutil.Process]:
+def processes_of(session: int, victim: str) -> list[psutil.Process]:
+    """Return the live processes of a kind, see `Kill.victim`, of the session with this process id."""
     if victim in ("session", "process group"):
         return [psutil.Process(session)] if psutil.pid_exists(session) else []
     trainers = [child for child in _children(session, recursive=False) if "spawn_main" in _command(child)]

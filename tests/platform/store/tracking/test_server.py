@@ -5,8 +5,6 @@ import os
 import select
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -14,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mlflow_server import free_port, start_server
 
 from headway.config.experiment import StoreConfig
 from headway.contracts import HeadwayError
@@ -21,17 +20,11 @@ from headway.store.checkpoint import save_checkpoint
 from headway.store.parquet_log import RunLog
 from headway.store.session import Cell, Run, SessionStore
 from headway.store.tracking import thread
-from headway.store.tracking.client import Tracker, database_uri, require_answer
+from headway.store.tracking.client import require_answer
 from headway.store.tracking.sync import sync_each
 
 ITERATIONS = 40
 PATIENCE_S = 300.0
-
-
-def free_port() -> int:
-    with contextlib.closing(socket.socket()) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Line:
@@ -70,31 +63,10 @@ class Line:
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     """The port of a real MLflow server."""
     folder, port = tmp_path_factory.mktemp("server"), free_port()
-    Tracker(folder)  # makes the database
-    command = [sys.executable, "-m", "mlflow", "server", "--host", "127.0.0.1", "--port", str(port)]
-    command += ["--backend-store-uri", database_uri(folder), "--workers", "1"]
-    command += ["--artifacts-destination", str(folder / "artifacts")]
-    quiet = {"MLFLOW_DISABLE_TELEMETRY": "true", "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
-    silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    process = subprocess.Popen(
-        command, cwd=folder, start_new_session=True, env={**os.environ, **quiet}, **silent
-    )
-    try:
-        deadline = time.monotonic() + PATIENCE_S
-        while not _listens(port):
-            assert process.poll() is None, "MLflow's server ended"
-            assert time.monotonic() < deadline, "MLflow's server did not start"
-            time.sleep(0.2)
-        yield port
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-
-
-def _listens(port: int) -> bool:
-    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1):
-        return True
-    return False
+    process = start_server(folder, port)
+    yield port
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 @pytest.fixture

@@ -1,0 +1,196 @@
+"""Signals to the processes of small studies, each of which must end as if it had not been disturbed."""
+
+import os
+import random
+import shutil
+import signal
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+
+from headway.store.index import RunIndex
+from headway.store.tracking.sync import sync_each
+from tests.robustness.outcomes import FAILURES, Outcome, Scale, Tally
+from tests.robustness.sessions import BOUND_S, TINY, Session, session_outcome
+from tests.trials.killed_study import processes_of, results_of
+from tests.trials.same_study import differences
+
+STUDY = "struck"
+BASE = (
+    f"study={STUDY}", *TINY, "rollout.copies=4", "rollout.block=2", "rollout.steps=10", "backend.parallel=1",
+    "store.checkpoint_every=10", "backend.worker_timeout_s=2", "store.root=runs",
+)  # fmt: skip
+STUDIES: dict[str, tuple[str, ...]] = {
+    "workers": ("env=visitors", "algo=ippo", "seed=0,1", "env_steps=8000", "backend.workers=2"),
+    "stack": ("env=tracking", "algo=maa2c", "seed=0..2", "env_steps=8000", "backend.stack=3"),
+    "asynchronous": ("env=visitors", "algo=a3c", "algo.application=in_turns", "seed=0,1", "env_steps=6000"),
+}
+_ROUND = 8
+"""Signals in one study."""
+_ATTEMPTS = 5
+_STOP_S = 120.0
+"""Time in which a session that was asked to stop must end, whatever its training processes do."""
+_POLL_S = 0.1
+
+
+@dataclass(frozen=True)
+class Blow:
+    """A signal to a process of a session."""
+
+    victim: str
+    number: signal.Signals
+    continues: bool = False
+    """SIGCONT follows SIGSTOP."""
+
+    @property
+    def label(self) -> str:
+        """Its name in messages."""
+        return f"{self.number.name}{' and SIGCONT' if self.continues else ''} to {self.victim}"
+
+
+VICTIMS = ("session", "training process", "rollout worker", "fork server")
+BLOWS = (
+    *(
+        Blow(victim, number)
+        for victim in (*VICTIMS, "process group")
+        for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+    ),
+    *(Blow(victim, signal.SIGSTOP, continues) for victim in VICTIMS for continues in (False, True)),
+)
+
+
+@dataclass
+class _Round:
+    """A study in its store, and what has happened to it."""
+
+    sweep: Sequence[str]
+    folder: Path
+    chance: random.Random
+    outcomes: list[Outcome] = field(default_factory=list)
+    """One per signal that reached a process."""
+    history: list[str] = field(default_factory=list)
+    table: str = ""
+    """Output of the session that finished the study."""
+
+    @property
+    def root(self) -> Path:
+        """The store."""
+        return self.folder / "runs"
+
+    def strike(self, number: int) -> None:
+        """Run sessions until `number` signals have reached their processes or the study has finished."""
+        for session in range(3 * number):
+            if self.table or len(self.outcomes) >= number:
+                break
+            resumes = session % 2 and RunIndex(self.root).rows()
+            self._session(["resume", "--study", STUDY] if resumes else ["sweep", *self.sweep], number)
+
+    def finish(self) -> None:
+        """Run the sweep until it has finished."""
+        for _ in range(_ATTEMPTS):
+            if not self.table:
+                self._session(["sweep", *self.sweep], number=0)
+
+    def _session(self, words: Sequence[str], number: int) -> None:
+        with Session(words, self.folder) as session:
+            first, sent = len(self.outcomes), list[signal.Signals]()
+            while len(self.outcomes) < number and session.is_running:
+                sent += self._blow(session)
+            code = session.end(_STOP_S if sent else BOUND_S)
+            outcome = session_outcome(code, session.err, sent)
+            self.history.append(f"{words[0]} ended with code {code}")
+            if outcome in FAILURES:
+                self.history.append(" | ".join(session.err.splitlines()[-8:]))
+            if self.outcomes[first:]:
+                self.outcomes[-1] = outcome
+            elif outcome in FAILURES:
+                self.outcomes.append(outcome)
+            self.table = session.out if code == 0 else ""
+
+    def _blow(self, session: Session) -> list[signal.Signals]:
+        """Strike once, as soon as there is a victim; return the signals that should end the session."""
+        blow = self.chance.choice(BLOWS)
+        process = self._victim(session, blow.victim)
+        if process is None or not _send(process, blow):
+            return []
+        self.history.append(blow.label)
+        self.outcomes.append(Outcome.ACCEPTED)
+        if blow.victim in ("session", "process group") and blow.number != signal.SIGSTOP:
+            return [blow.number]
+        if blow.number == signal.SIGSTOP and blow.victim != "rollout worker":
+            time.sleep(self.chance.uniform(0.1, 4.0))
+            if blow.continues:
+                _send(process, Blow(blow.victim, signal.SIGCONT))
+                return []
+            ending = signal.SIGKILL if blow.victim == "session" else signal.SIGTERM
+            session.send(ending)
+            return [ending]
+        return []
+
+    def _victim(self, session: Session, victim: str) -> psutil.Process | None:
+        """Return a random process to strike after a random time, None if the session ends before."""
+        deadline = time.monotonic() + BOUND_S
+        while session.is_running and time.monotonic() < deadline:
+            if processes_of(session.process.pid, victim):
+                time.sleep(self.chance.uniform(0.0, 8.0 if victim in ("session", "process group") else 2.0))
+                processes = processes_of(session.process.pid, victim) if session.is_running else []
+                return self.chance.choice(processes) if processes else None
+            time.sleep(_POLL_S)
+        return None
+
+
+def campaign(scale: Scale, seed: int, folder: Path) -> list[Tally]:
+    """Strike studies in turn until the number of signals of a scale has been sent."""
+    tallies = {name: Tally(f"kills: {name}") for name in STUDIES}
+    tables: dict[str, str] = {}
+    done = number = 0
+    while done < scale.kills:
+        name = list(STUDIES)[number % len(STUDIES)]
+        sweep, whole = [*STUDIES[name], *BASE], folder / f"{name}-whole"
+        if name not in tables:
+            tables[name] = undisturbed(sweep, whole)
+        struck = _Round(sweep, folder / f"{name}-{number}", random.Random(f"{seed} {number}"))
+        struck.strike(min(_ROUND, scale.kills - done))
+        done += len(struck.outcomes)
+        struck.finish()
+        found = compared(struck.table, struck.root, tables[name], whole / "runs")
+        repeat = f"round {number} of seed {seed}: {'; '.join(struck.history)}"
+        for outcome in struck.outcomes:
+            tallies[name].add(outcome, repeat)
+        if found:
+            tallies[name].add(Outcome.LOST, f"{repeat}: {found}")
+        shutil.rmtree(struck.folder)
+        number += 1
+    return list(tallies.values())
+
+
+def undisturbed(sweep: Sequence[str], folder: Path) -> str:
+    """Run a sweep in one session; return its table."""
+    with Session(["sweep", *sweep], folder) as session:
+        if code := session.end():
+            raise SystemExit(f"the undisturbed study ended with code {code}: {session.err}")
+        return session.out
+
+
+def compared(table: str, root: Path, whole_table: str, whole: Path) -> list[str]:
+    """Return the differences of a disturbed study from the undisturbed one."""
+    if not table:
+        return ["it does not finish"]
+    sync_each(root)  # what a busy session had no time to send
+    tables = [] if results_of(table) == results_of(whole_table) else ["the tables differ"]
+    return [*tables, *differences(whole, root)]
+
+
+def _send(process: psutil.Process, blow: Blow) -> bool:
+    """Send the signal; return whether the process existed."""
+    try:
+        if blow.victim == "process group":
+            os.killpg(process.pid, blow.number)
+        else:
+            process.send_signal(blow.number)
+    except (psutil.NoSuchProcess, ProcessLookupError):
+        return False
+    return True
