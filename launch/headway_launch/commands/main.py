@@ -99,6 +99,14 @@ def run(arguments: Sequence[str]) -> int:
             raise
         print_line("headway: stopped")
         return 130
+    except SystemExit as error:  # not of Headway's own code
+        if debug:
+            raise
+        print_line(
+            f"headway: the environment's code called sys.exit({error.code!r}); raise an error there instead "
+            "(--debug shows where)"
+        )
+        return 2
     except Exception as error:
         if isinstance(error, BrokenPipeError) and _only_prints(words):  # `headway runs | head`
             silence(sys.stdout)

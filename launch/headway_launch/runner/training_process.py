@@ -167,7 +167,7 @@ def train_and_report(job: "TrainingJob", report: Report, should_stop: ShouldStop
         raise
     except HeadwayError as error:
         report(Failed(str(error), f"{error.details}{traceback.format_exc()}"))
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # SystemExit: of an environment
         line = f"{type(error).__name__}: {error}".splitlines()[0]
         report(Failed(line, traceback.format_exc()))
 

@@ -151,6 +151,19 @@ def test_only_what_trains_fails_if_its_reader_has_gone(
     assert run(words.split()) == code
 
 
+@pytest.mark.parametrize("given", [None, 0, 3, "I am off"])
+def test_an_environment_that_ends_the_program_is_an_error(
+    given: int | str | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def leave(words: list[str], debug: bool) -> NoReturn:
+        sys.exit(given)
+
+    monkeypatch.setattr(main, "_dispatch", leave)
+    assert run(["run", "env=zoo.street"]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"headway: the environment's code called sys.exit({given!r}); raise an error")
+
+
 def test_the_help_of_realism_offers_no_scenario_that_it_refuses(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["data", "realism", "--help"]) == 0
     shown = " ".join(capsys.readouterr().out.split())

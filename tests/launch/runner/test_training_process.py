@@ -9,8 +9,10 @@ from typing import cast
 
 import pytest
 
+from headway.events import Event, Failed
+from headway.training import loop
 from headway.training.loop import TrainingJob
-from headway_launch.runner.training_process import TrainingProcess
+from headway_launch.runner.training_process import TrainingProcess, train_and_report
 
 
 def test_a_process_killed_before_it_has_read_its_work_is_at_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -31,3 +33,12 @@ def test_a_process_killed_before_it_has_read_its_work_is_at_its_end(monkeypatch:
     thread.start()
     thread.join(20)
     assert received == [None, "its training process ended with exit code 3 and without a final event"]
+
+
+def test_an_environment_that_ends_its_training_process_fails_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop, "train", lambda job, report, should_stop: sys.exit(5))
+    events: list[Event] = []
+    train_and_report(cast(TrainingJob, None), events.append, lambda: False)
+    [failed] = events
+    assert isinstance(failed, Failed)
+    assert failed.line == "SystemExit: 5"

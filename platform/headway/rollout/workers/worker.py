@@ -171,7 +171,7 @@ class CommandServer:
             done = self.service.execute(command)
             # Pickled inside the try block: a snapshot that cannot be pickled becomes an answer too.
             return reduction.ForkingPickler.dumps(replace(done, seconds=time.monotonic() - began))
-        except Exception as error:
+        except BaseException as error:  # an environment may also call sys.exit
             line = str(error) if isinstance(error, HeadwayError) else f"{type(error).__name__}: {error}"
             is_user_error = isinstance(error, HeadwayError)
             return reduction.ForkingPickler.dumps(CommandFailed(line, traceback.format_exc(), is_user_error))

@@ -78,7 +78,7 @@ def _kill(process_id: int) -> None:
     [
         ("kill", "killed by signal 9"),
         ("raise", "RuntimeError: the bridge is out"),
-        ("exit", "ended with code 3"),
+        ("exit", "SystemExit: 3"),
         ("hang up", "alive, but it closed its pipe"),
     ],
 )
