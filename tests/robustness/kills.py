@@ -57,13 +57,15 @@ BLOWS = (
         Blow(victim, number)
         for victim in (*VICTIMS, "process group")
         for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+        # Ctrl-C does not reach the fork server: its process group is that of the training process.
+        if (victim, number) != ("fork server", signal.SIGINT)
     ),
     *(Blow(victim, signal.SIGSTOP, continues) for victim in VICTIMS for continues in (False, True)),
 )
 
 
 @dataclass
-class _Round:
+class StruckStudy:
     """A study in its store, and what has happened to it."""
 
     sweep: Sequence[str]
@@ -86,19 +88,21 @@ class _Round:
             if self.table or len(self.outcomes) >= number:
                 break
             resumes = session % 2 and RunIndex(self.root).rows()
-            self._session(["resume", "--study", STUDY] if resumes else ["sweep", *self.sweep], number)
+            words = ["resume", "--study", STUDY] if resumes else ["sweep", *self.sweep]
+            self.session(words, self.chance.choices(BLOWS, k=number - len(self.outcomes)))
 
     def finish(self) -> None:
         """Run the sweep until it has finished."""
         for _ in range(_ATTEMPTS):
             if not self.table:
-                self._session(["sweep", *self.sweep], number=0)
+                self.session(["sweep", *self.sweep], [])
 
-    def _session(self, words: Sequence[str], number: int) -> None:
+    def session(self, words: Sequence[str], blows: Sequence[Blow]) -> None:
+        """Run a session and strike it until it ends or has had all blows."""
         with Session(words, self.folder) as session:
             first, sent = len(self.outcomes), list[signal.Signals]()
-            while len(self.outcomes) < number and session.is_running:
-                sent += self._blow(session)
+            for blow in blows:
+                sent += self._strike_once(session, blow)
             code = session.end(_STOP_S if sent else BOUND_S)
             outcome = session_outcome(code, session.err, sent)
             self.history.append(f"{words[0]} ended with code {code}")
@@ -110,25 +114,24 @@ class _Round:
                 self.outcomes.append(outcome)
             self.table = session.out if code == 0 else ""
 
-    def _blow(self, session: Session) -> list[signal.Signals]:
-        """Strike once, as soon as there is a victim; return the signals that should end the session."""
-        blow = self.chance.choice(BLOWS)
+    def _strike_once(self, session: Session, blow: Blow) -> list[signal.Signals]:
+        """Strike as soon as there is a victim; return the signals that should end the session."""
         process = self._victim(session, blow.victim)
         if process is None or not _send(process, blow):
             return []
         self.history.append(blow.label)
         self.outcomes.append(Outcome.ACCEPTED)
-        if blow.victim in ("session", "process group") and blow.number != signal.SIGSTOP:
-            return [blow.number]
-        if blow.number == signal.SIGSTOP and blow.victim != "rollout worker":
-            time.sleep(self.chance.uniform(0.1, 4.0))
-            if blow.continues:
-                _send(process, Blow(blow.victim, signal.SIGCONT))
-                return []
-            ending = signal.SIGKILL if blow.victim == "session" else signal.SIGTERM
-            session.send(ending)
-            return [ending]
-        return []
+        if blow.number != signal.SIGSTOP:
+            return [blow.number] if blow.victim in ("session", "process group") else []
+        if blow.victim == "rollout worker" and not blow.continues:
+            return []  # it is replaced
+        time.sleep(self.chance.uniform(0.1, 4.0))
+        if blow.continues:
+            _send(process, Blow(blow.victim, signal.SIGCONT))
+            return []
+        ending = signal.SIGKILL if blow.victim == "session" else signal.SIGTERM
+        session.send(ending)
+        return [ending]
 
     def _victim(self, session: Session, victim: str) -> psutil.Process | None:
         """Return a random process to strike after a random time, None if the session ends before."""
@@ -152,7 +155,7 @@ def campaign(scale: Scale, seed: int, folder: Path) -> list[Tally]:
         sweep, whole = [*STUDIES[name], *BASE], folder / f"{name}-whole"
         if name not in tables:
             tables[name] = undisturbed(sweep, whole)
-        struck = _Round(sweep, folder / f"{name}-{number}", random.Random(f"{seed} {number}"))
+        struck = StruckStudy(sweep, folder / f"{name}-{number}", random.Random(f"{seed} {number}"))
         struck.strike(min(_ROUND, scale.kills - done))
         done += len(struck.outcomes)
         struck.finish()

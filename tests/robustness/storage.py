@@ -145,8 +145,10 @@ def _read_only(folder: Path, chance: random.Random, kept: ExitStack) -> End:
     return _in_namespace(_READ_ONLY, folder, delay=_moment(chance), pause=pause)
 
 
-def _size_limit(folder: Path, chance: random.Random, kept: ExitStack) -> End:
-    script = _SIZE_LIMIT.replace("{blocks}", str(blocks := round(2 ** chance.uniform(3, 12))))
+def size_limit(folder: Path, chance: random.Random, kept: ExitStack, blocks: int | None = None) -> End:
+    """Limit the size of files, in blocks of 512 bytes; None: at random."""
+    blocks = blocks or round(2 ** chance.uniform(3, 12))
+    script = _SIZE_LIMIT.replace("{blocks}", str(blocks))
     with Session(["sweep", *SWEEP], folder, before=["sh", "-c", script, "sh"]) as session:
         return _ended(session, f"files of {blocks} blocks")
 
@@ -207,6 +209,6 @@ FAULTS: dict[str, Fault] = {
     "read-only store": _read_only,
     "lost server": _lost_server,
     "sweeps at once": _sweeps_at_once,
-    "file size limit": _size_limit,
+    "file size limit": size_limit,
 }
 _MOUNTING = ("full disk", "read-only store")

@@ -9,7 +9,7 @@ from multiprocessing import connection
 from multiprocessing.context import ForkServerProcess
 from typing import Any
 
-from headway.contracts import Trajectory
+from headway.contracts import HeadwayError, Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway.contracts.trajectory import arrays_in, block_nbytes
 from headway.rollout.plan import RolloutPlan, Shard
@@ -20,6 +20,8 @@ from headway.rollout.workers.worker_pool import Notify, WorkerConnection
 
 GRACE_S = 5.0
 """Seconds that workers may take to finish their command on closing, or to die after closing their pipe."""
+
+_START_ATTEMPTS, _START_PAUSE_S = 10, 0.1
 
 
 def process_collector(
@@ -45,7 +47,7 @@ class ProcessLauncher:
             target=run_worker, args=(self.setups[shard], theirs), name=f"headway worker {shard}", daemon=True
         )
         with nullcontext() if self.plan.mentions_main else _without_main_module():
-            process.start()
+            _start(process)
         theirs.close()
         return ProcessConnection(process, ours)
 
@@ -138,6 +140,21 @@ class ProcessConnection:
         self.process.kill()
         self.process.join()
         self.pipe.close()
+
+
+def _start(process: ForkServerProcess) -> None:
+    """Start a process, by a new fork server if the present one is dying. Raises HeadwayError otherwise."""
+    for _ in range(_START_ATTEMPTS):
+        try:
+            process.start()
+            return
+        except (EOFError, ConnectionError) as error:
+            cause = error
+            time.sleep(_START_PAUSE_S)
+    raise HeadwayError(
+        "the fork server, which starts worker processes, ends again and again (out of memory?); lower "
+        "backend.workers or backend.parallel"
+    ) from cause
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from multiprocessing.popen_forkserver import Popen
 from pathlib import Path
 from typing import Any
 
@@ -211,6 +212,25 @@ def test_a_second_failure_ends_the_run_with_the_worker_s_traceback(tmp_path: Pat
     assert cause in _one_line(failure.value)
     assert "Traceback (most recent call last)" in failure.value.details
     assert {"raise": "in _fail", "bad snapshot": "dumps"}[fault] in failure.value.details
+
+
+@pytest.mark.parametrize("failures", [2, 10_000])
+def test_a_worker_starts_although_its_fork_server_ends(
+    monkeypatch: pytest.MonkeyPatch, never: RolloutPlan, undisturbed: list[Taken], failures: int
+) -> None:
+    launch, left = Popen._launch, [EOFError(), ConnectionRefusedError()] * (failures // 2)
+
+    def launch_if_alive(popen: Popen, process: Any) -> None:  # noqa: ANN401 - multiprocessing's
+        if left:
+            raise left.pop()
+        launch(popen, process)
+
+    monkeypatch.setattr(Popen, "_launch", launch_if_alive)
+    if failures == 2:
+        assert_same(undisturbed, _taken(never))
+    else:
+        with pytest.raises(HeadwayError, match="the fork server, which starts worker processes, ends again"):
+            _taken(never)
 
 
 def test_a_plan_that_a_worker_cannot_load_is_reported_with_its_traceback(never: RolloutPlan) -> None:

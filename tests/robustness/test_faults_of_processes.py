@@ -1,0 +1,50 @@
+"""A kill, a misbehaving environment and a storage fault end as they should; a planted loss is noticed."""
+
+import random
+import signal
+import sqlite3
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from headway.store.index import RunIndex
+from tests.robustness.environments import Case, install_module, run_case
+from tests.robustness.kills import BASE, STUDIES, Blow, StruckStudy, compared, undisturbed
+from tests.robustness.outcomes import Outcome
+from tests.robustness.storage import size_limit
+
+pytestmark = pytest.mark.slow
+
+
+def test_a_struck_study_equals_the_undisturbed_one_and_a_loss_is_noticed(tmp_path: Path) -> None:
+    sweep = [*STUDIES["workers"], *BASE, "seed=0", "env_steps=2400"]
+    table, whole = undisturbed(sweep, tmp_path / "whole"), tmp_path / "whole" / "runs"
+    struck = StruckStudy(sweep, tmp_path / "struck", random.Random(1))
+    struck.session(["sweep", *sweep], [Blow("rollout worker", signal.SIGKILL)])
+    assert struck.outcomes == [Outcome.ACCEPTED]
+    assert "SIGKILL to rollout worker" in struck.history
+    assert compared(struck.table, struck.root, table, whole) == []
+
+    [run] = RunIndex(struck.root).rows()
+    next(Path(run.directory).glob("curve-*.parquet")).unlink()
+    with sqlite3.connect(struck.root / "mlflow.db") as database:
+        database.execute("DELETE FROM metrics WHERE key LIKE 'policy/%'")
+    found = "\n".join(compared(struck.table, struck.root, table, whole))
+    assert "curve differ" in found
+    assert "MLflow's curves differs" in found
+
+
+def test_an_environment_that_ends_the_session_is_one_clear_line(tmp_path: Path) -> None:
+    install_module(tmp_path)
+    case = Case("sys.exit(5)", "constructor", 1, once=False, spares_session=False, backend="process")
+    outcome, why, _ = run_case(case, tmp_path, tmp_path / "case")
+    assert outcome is Outcome.CLEAR, why
+    assert "sys.exit(5)" in why
+
+
+def test_a_store_whose_files_cannot_grow_is_a_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    with ExitStack() as kept:
+        end = size_limit(tmp_path, random.Random(1), kept, blocks=2)
+    assert end.outcome is Outcome.CLEAR, end.how
