@@ -24,9 +24,9 @@ BASE = (
     "store.checkpoint_every=10", "backend.worker_timeout_s=2", "store.root=runs",
 )  # fmt: skip
 STUDIES: dict[str, tuple[str, ...]] = {
-    "workers": ("env=visitors", "algo=ippo", "seed=0,1", "env_steps=8000", "backend.workers=2"),
-    "stack": ("env=tracking", "algo=maa2c", "seed=0..2", "env_steps=8000", "backend.stack=3"),
-    "asynchronous": ("env=visitors", "algo=a3c", "algo.application=in_turns", "seed=0,1", "env_steps=6000"),
+    "workers": ("env=visitors", "algo=ippo", "seed=0,1", "env_steps=4000", "backend.workers=2"),
+    "stack": ("env=tracking", "algo=maa2c", "seed=0..2", "env_steps=4000", "backend.stack=3"),
+    "asynchronous": ("env=visitors", "algo=a3c", "algo.application=in_turns", "seed=0,1", "env_steps=4000"),
 }
 _ROUND = 8
 """Signals in one study."""
