@@ -415,7 +415,12 @@ class ParallelEnvBatch:
                 acting[index] &= bool(info["acting"])
             if "slot_ended" in info and not after_reset:
                 self._end_slot(copy, index, info["slot_ended"])
-            if masks is not None and "action_mask" in info:
+            if "action_mask" in info:
+                if masks is None:
+                    raise HeadwayError(
+                        f"environment '{self._spec.name}' gave an action_mask of agent '{agent}' at step "
+                        f"{self._steps} and none after its first reset; give one after every reset and step"
+                    )
                 masks[copy, index] = info["action_mask"]
 
     def _end_slot(self, copy: int, index: int, how: str) -> None:

@@ -162,6 +162,20 @@ def test_a_live_agent_without_allowed_actions_is_an_error(space: Space, options:
         env.step(np.zeros((2, 2, *(space.shape or ())), dtype=np.int64))
 
 
+def test_masks_that_come_late_are_an_error() -> None:
+    """Whether actions are masked is decided once: later masks would be ignored."""
+
+    def script(env: Scripted) -> None:
+        if env.steps == 2:
+            env.infos["b"] = {"action_mask": np.array([True, False])}
+
+    env = batch(script)
+    env.reset(seeds())
+    env.step(NOTHING)
+    with pytest.raises(HeadwayError, match="'scripted' gave an action_mask of agent 'b' at step 2 and none"):
+        env.step(NOTHING)
+
+
 def test_termination_takes_precedence_over_truncation() -> None:
     def script(env: Scripted) -> None:
         if env.steps == 4:
