@@ -34,6 +34,9 @@ from headway.contracts import (
 from headway.contracts.spaces import allows_action
 
 Infos = Mapping[str, Mapping[str, Any]]
+StepAnswer = tuple[Mapping[str, Any], Mapping[str, float], Mapping[str, bool], Mapping[str, bool], Infos]
+_MALFORMED = (TypeError, ValueError, KeyError, AttributeError, IndexError)
+"""Errors of reading an answer of another form than PettingZoo's."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +70,7 @@ class ParallelEnv(Protocol):
 
     def reset(self, seed: int | None = None) -> tuple[Mapping[str, Any], Infos]: ...
 
-    def step(
-        self, actions: dict[str, Any]
-    ) -> tuple[Mapping[str, Any], Mapping[str, float], Mapping[str, bool], Mapping[str, bool], Infos]: ...
+    def step(self, actions: dict[str, Any]) -> StepAnswer: ...
 
     def state(self) -> NDArray[Any]: ...
 
@@ -231,24 +232,50 @@ class ParallelEnvBatch:
     def _begin(self, copy: int, episode: int) -> None:
         env = self._envs[copy]
         self._episodes[copy] = episode
-        observations, infos = env.reset(seed=episode_seed(self._seeds[copy], episode))
+        answer = env.reset(seed=episode_seed(self._seeds[copy], episode))
         self._ended[copy] = False
         self._observed.observations[copy] = 0
+        try:
+            self._read_reset(copy, answer)
+        except _MALFORMED as error:
+            raise self._malformed("(observations, infos)", error) from error
+
+    def _read_reset(self, copy: int, answer: tuple[Mapping[str, Any], Infos]) -> None:
+        observations, infos = answer
         self._write_observations(copy, observations)
         self._update_alive(copy)
         self._read_infos(copy, infos, after_reset=True)
         self._require_observations(observations, self._observed.alive[copy])
         if self._spec.state_size:
-            self._observed.states[copy] = env.state().reshape(-1)
+            self._observed.states[copy] = self._envs[copy].state().reshape(-1)
+
+    def _malformed(self, form: str, error: Exception) -> HeadwayError:
+        return HeadwayError(
+            f"environment '{self._spec.name}' gave an answer at step {self._steps} that cannot be read "
+            f"({type(error).__name__}: {error}); return {form}, each a dictionary by agent, and list the "
+            "live agents in `agents`"
+        )
 
     def _step_copy(self, copy: int, actions: NDArray[Any]) -> None:
-        env, agents, live = self._envs[copy], self._spec.agents, self._live_agents[copy]
+        agents, live = self._spec.agents, self._live_agents[copy]
         decoded = self._decode(actions)
         if live is None:
             given = dict(zip(agents, decoded, strict=True))
         else:
             given = {agent: decoded[self._index[agent]] for agent in live}
-        observations, rewards, terminated, truncated, infos = env.step(given)
+        answer = self._envs[copy].step(given)
+        try:
+            self._read_step(copy, live, answer)
+        except _MALFORMED as error:
+            form = "(observations, rewards, terminations, truncations, infos)"
+            raise self._malformed(form, error) from error
+        if self._outcome.episode_ended[copy]:
+            self._begin(copy, self._episodes[copy] + 1)
+
+    def _read_step(self, copy: int, live: list[str] | None, answer: StepAnswer) -> None:
+        """Read what the environment returned; `live`: see `_live_agents`."""
+        env, agents = self._envs[copy], self._spec.agents
+        observations, rewards, terminated, truncated, infos = answer
         self._write_observations(copy, observations)
         self._require_rewards(copy, rewards)
         self._outcome.rewards[copy] = self._slot_rewards(rewards, live)
@@ -397,7 +424,6 @@ class ParallelEnvBatch:
                     "without them in any agent's info; a wrapper must pass infos on"
                 )
         outcome.metrics[copy] = [metrics.get(name, np.nan) for name in self._spec.metrics]
-        self._begin(copy, self._episodes[copy] + 1)
 
     def _read_infos(self, copy: int, infos: Infos, after_reset: bool) -> None:
         """Apply the infos; `after_reset`: no action has been given yet."""

@@ -13,6 +13,7 @@ from scripted import Script, Scripted, Space
 from headway.adapters.conformance import CHECKS, play
 from headway.adapters.pettingzoo import AdapterOptions, ParallelEnvBatch, episode_seed
 from headway.contracts import Box, Discrete, HeadwayError, MultiDiscrete
+from tests.robustness.misbehaving import STEP_ANSWERS, parallel_env
 
 
 def batch(script: Script = lambda env: None, agents_come_and_go: bool | None = None) -> ParallelEnvBatch:
@@ -174,6 +175,46 @@ def test_masks_that_come_late_are_an_error() -> None:
     env.step(NOTHING)
     with pytest.raises(HeadwayError, match="'scripted' gave an action_mask of agent 'b' at step 2 and none"):
         env.step(NOTHING)
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("observations None", "TypeError"),
+        ("infos None", "AttributeError"),
+        ("info no dictionary", "TypeError"),
+        ("answer None", "TypeError"),
+        ("one value less", "not enough values to unpack"),
+        ("agents None", "TypeError"),
+        ("reward a word", "could not convert string to float"),
+        ("reward a list", "setting an array element with a sequence"),
+        ("flag an array", "truth value of an array"),
+    ],
+)
+@pytest.mark.parametrize("place", ["reset", "step"])
+def test_an_answer_of_another_form_is_an_error(fault: str, reason: str, place: str) -> None:
+    if place == "reset" and fault in STEP_ANSWERS:
+        return
+    made = partial(parallel_env, fault, place, at=3, spares_session=False)
+    env = ParallelEnvBatch(made, 1, "misbehaving")
+    env.reset(seeds(1))
+    with pytest.raises(HeadwayError, match=r"'misbehaving' gave an answer at step \d that cannot") as failure:
+        play_steps(env, 8)
+    assert reason in str(failure.value)
+    assert "return (observations, " in str(failure.value)
+
+
+def play_steps(env: ParallelEnvBatch, steps: int) -> None:
+    for _ in range(steps):
+        env.step(NOTHING[:1])
+
+
+def test_an_error_of_the_environment_s_own_passes_as_it_is() -> None:
+    for place in ("reset", "step"):
+        env = ParallelEnvBatch(partial(parallel_env, "raise KeyError", place, 3, "", False), 1, "misbehaving")
+        env.reset(seeds(1))
+        with pytest.raises(KeyError, match="agent"):
+            play_steps(env, 8)
 
 
 def test_termination_takes_precedence_over_truncation() -> None:

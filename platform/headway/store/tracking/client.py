@@ -54,6 +54,7 @@ _QUIET = {
     "MLFLOW_DISABLE_SYSTEM_METRICS_LOGGING": "true",
     "MLFLOW_ENABLE_SYSTEM_METRICS_LOGGING": "false",
     "MLFLOW_LOGGING_LEVEL": "CRITICAL",
+    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",  # stdout holds results only
     "GIT_PYTHON_REFRESH": "quiet",
     # Fail soon if the server is down; the tracking thread retries later.
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
