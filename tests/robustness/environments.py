@@ -1,5 +1,6 @@
 """Environments that lie, raise, hang, fork, leak and exit, in `headway run` with a tiny budget."""
 
+import os
 import random
 import signal
 import time
@@ -89,7 +90,8 @@ def run_case(case: Case | None, installed: Path, folder: Path) -> tuple[Outcome,
     if case is not None:
         words += [f"backend={case.backend}"]
         words += [f"env.args.{name}={_quoted(value)}" for name, value in case.arguments(folder).items()]
-    with Session(words, folder, {"PYTHONPATH": _path_with(installed)}) as session:
+    path = os.pathsep.join([str(installed), os.environ.get("PYTHONPATH", "")])
+    with Session(words, folder, {"PYTHONPATH": path}) as session:
         interrupts = _wait(session, interrupt=case is not None and case.fault in HANGING)
         code = session.end(BOUND_S)
         outcome = session_outcome(code, session.err, interrupts)
@@ -117,12 +119,6 @@ def _wait(session: Session, interrupt: bool) -> list[signal.Signals]:
 
 def _quoted(value: object) -> str:
     return f"'{value}'" if isinstance(value, str) else str(value).lower()
-
-
-def _path_with(installed: Path) -> str:
-    import os
-
-    return os.pathsep.join([str(installed), os.environ.get("PYTHONPATH", "")])
 
 
 def _curve_of(root: Path) -> list[dict[str, Any]]:
