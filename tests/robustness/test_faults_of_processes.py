@@ -1,6 +1,7 @@
 """A kill, a misbehaving environment and a storage fault end as they should; a planted loss is noticed."""
 
 import random
+import shutil
 import signal
 import sqlite3
 from contextlib import ExitStack
@@ -17,7 +18,12 @@ from tests.robustness.storage import size_limit
 pytestmark = pytest.mark.slow
 
 
-def test_a_struck_study_equals_the_undisturbed_one_and_a_loss_is_noticed(tmp_path: Path) -> None:
+def test_a_struck_study_equals_the_undisturbed_one_and_a_loss_is_noticed(
+    tmp_path: Path, empty_database: Path
+) -> None:
+    for name in ("whole", "struck"):
+        (root := tmp_path / name / "runs").mkdir(parents=True)
+        shutil.copy(empty_database, root)
     sweep = [*STUDIES["workers"], *BASE, "seed=0", "env_steps=2400"]
     table, whole = undisturbed(sweep, tmp_path / "whole"), tmp_path / "whole" / "runs"
     struck = StruckStudy(sweep, tmp_path / "struck", random.Random(1))
