@@ -16,7 +16,7 @@ from pathlib import Path
 from headway_launch.console.tables import Value, print_table
 from tests.robustness.outcomes import FAILURES, SCALES, Outcome, Tally
 
-AREAS = ("overrides", "files")
+AREAS = ("overrides", "files", "kills", "environments", "storage")
 """Modules, each of which offers `campaign(scale, seed, folder) -> list[Tally]`."""
 
 
