@@ -72,10 +72,10 @@ def build_materials(folder: Path) -> list[Material]:
     materials = [_scenario(folder / "scenario"), _gtfs(folder / "gtfs"), _zipped(folder / "zipped")]
     materials += [_sunt(folder / "sunt"), *_stores(folder / "store")]
     with patch("headway_launch.studies.dry_run.calibrate", without_training):
-        for material in materials:
-            for words in material.commands:
-                _copy(material, folder / "checked")
-                _run_here(folder / "checked", words)  # also imports what they need, for all cases
+        commands = [(material, words) for material in materials for words in material.commands]
+        for number, (material, words) in enumerate(commands):  # each imports what it needs for all cases
+            _copy(material, folder / f"checked-{number}")
+            _run_here(folder / f"checked-{number}", words)
     return materials
 
 

@@ -126,7 +126,7 @@ def stored_result(directory: Path) -> SeedResult:
 
     def metric(name: str) -> float | None:
         value = summary.get(name)
-        return float(value) if isinstance(value, int | float) else None
+        return None if value is None else float(value)
 
     return SeedResult(
         seed=record.seed,

@@ -4,7 +4,6 @@ Each query compares the size and time of every `run.json` and `summary.json` wit
 the changed files again. The index needs no repair: if it is lost, stale or corrupt, it is rebuilt.
 """
 
-import math
 import os
 import sqlite3
 from collections.abc import Iterator, Mapping
@@ -156,11 +155,11 @@ def _row(folder: Path) -> RunRow:
         status=record.status,
         iterations=record.durable_iteration,
         env_steps=record.durable_env_steps,
-        final_reward=_number(summary, "final_reward"),
-        auc=_number(summary, "auc"),
-        cpu_seconds=_number(summary, "cpu_seconds"),
-        kwh=_number(summary, "kwh"),
-        kg_co2=_number(summary, "kg_co2"),
+        final_reward=summary.get("final_reward"),
+        auc=summary.get("auc"),
+        cpu_seconds=summary.get("cpu_seconds"),
+        kwh=summary.get("kwh"),
+        kg_co2=summary.get("kg_co2"),
         started=record.started,
         duration_s=record.duration_s,
         run_id=record.run_id,
@@ -169,14 +168,6 @@ def _row(folder: Path) -> RunRow:
         pid=record.session.pid,
         created=record.session.created,
     )
-
-
-def _number(summary: Mapping[str, Any], name: str) -> float | None:
-    value = summary.get(name)
-    try:
-        return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
-    except OverflowError:  # a whole number beyond all floats
-        return None
 
 
 def _settled(row: RunRow) -> RunRow:

@@ -30,6 +30,8 @@ STATUSES: tuple[Status, ...] = get_args(Status)
 RECORD = "run.json"
 SUMMARY = "summary.json"
 CHECKPOINTS = "checkpoints"
+_LARGEST = 1e100
+"""Bound of the numbers in a summary; beyond it, sums and axes of plots overflow."""
 
 
 @dataclass(frozen=True)
@@ -238,6 +240,17 @@ def _slug(name: str) -> str:
 
 
 def read_summary(directory: Path) -> dict[str, Any]:
-    """Read a run's `summary.json`; empty if it has none yet. Raises HeadwayError if the file is broken."""
+    """Read a run's `summary.json`; empty if it has none yet. Raises HeadwayError if the file is broken.
+
+    Values are texts for `energy.*`, else numbers, with None for what is unknown or cannot be right.
+    """
     path = directory / SUMMARY
-    return read_json(path) if path.exists() else {}
+    content = read_json(path) if path.exists() else {}
+    return {
+        name: str(value) if name.startswith("energy.") else value if _is_figure(value) else None
+        for name, value in content.items()
+    }
+
+
+def _is_figure(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) < _LARGEST

@@ -13,7 +13,7 @@ import pytest
 
 from headway.store.atomic_files import write_json
 from headway.store.index import RunIndex, RunRow, _row
-from headway.store.run_folder import Process, RunRecord, create_run_folder, now
+from headway.store.run_folder import Process, RunRecord, create_run_folder, now, read_summary
 
 
 def _run(root: Path, seed: int, study: str = "study", **summary: float | None) -> Path:
@@ -128,11 +128,14 @@ def test_a_file_that_cannot_be_read_to_its_end_is_a_notice(tmp_path: Path, name:
     assert [str(path) in notice for notice in index.notices] == [True]
 
 
-def test_a_figure_beyond_all_floats_is_left_out(tmp_path: Path) -> None:
+@pytest.mark.parametrize("value", [10**400, 1e308, float("nan"), "/dev/zero", [1.0]])
+def test_a_figure_that_is_no_number_is_left_out(tmp_path: Path, value: object) -> None:
     folder = _run(tmp_path, 0)
-    (folder / "summary.json").write_text(json.dumps({"final_reward": 10**400, "auc": 1.0}))
+    summary = {"final_reward": value, "auc": 1.0, "energy.cpu": "estimated"}
+    (folder / "summary.json").write_text(json.dumps(summary))
     [row] = RunIndex(tmp_path).rows()
     assert (row.final_reward, row.auc) == (None, 1.0)
+    assert read_summary(folder) == {**summary, "final_reward": None}
 
 
 def test_a_query_reads_only_changed_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

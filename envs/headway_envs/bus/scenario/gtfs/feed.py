@@ -98,10 +98,14 @@ def read_feed(path: Path) -> Feed:
 
 
 def _content(path: Path) -> bytes:
-    """Return a file's content. Raises HeadwayError for a pipe or a device, which never ends."""
+    """Return a file's content. Raises HeadwayError for a pipe or a device, which never ends, and if it
+    cannot be read."""
     if not path.is_file():
         raise HeadwayError(f"FEED: {path} is not a regular file; remove it")
-    return path.read_bytes()
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise HeadwayError(f"FEED: {path} cannot be read ({error.strerror}); fetch it again") from error
 
 
 def _read_zip(path: Path) -> dict[str, pd.DataFrame]:

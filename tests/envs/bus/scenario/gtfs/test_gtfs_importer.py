@@ -324,6 +324,13 @@ def test_a_pipe_in_a_feed_is_not_read(write_feed: FeedWriter) -> None:
         imported(folder)
 
 
+def test_a_file_that_cannot_be_read_is_named(write_feed: FeedWriter) -> None:
+    folder = write_feed(agency=None)
+    (folder / "agency.txt").symlink_to("/proc/self/mem")  # a regular file, but not readable at its start
+    with pytest.raises(HeadwayError, match=r"agency\.txt cannot be read \(Input/output error\)"):
+        imported(folder)
+
+
 def test_files_of_two_feeds_are_not_mixed(write_feed: FeedWriter, tmp_path: Path) -> None:
     folder = write_feed()
     (folder / "old").mkdir()
