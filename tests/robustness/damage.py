@@ -288,10 +288,10 @@ def _encrypt(path: Path, draws: random.Random) -> str:
 def _bomb(path: Path, draws: random.Random) -> str:
     """Let one file of the zip unpack to very much, or claim so."""
     if draws.random() < 0.5:
-        content = bytearray(path.read_bytes())
-        place = content.find(b"PK\x01\x02")
-        struct.pack_into("<I", content, place + 24, 2**32 - 2)
-        path.write_bytes(content)
+        claiming = bytearray(path.read_bytes())
+        place = claiming.find(b"PK\x01\x02")
+        struct.pack_into("<I", claiming, place + 24, 2**32 - 2)
+        path.write_bytes(claiming)
         return "its first file claims 4 GiB"
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}

@@ -300,11 +300,11 @@ def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> 
         [
             row
             for row in read_rows(Path(result.directory), "evaluation")
-            if row["mode"] == mode and row["final"]
+            if row.get("mode") == mode and row.get("final")
         ]
         for result in finished
     ]
-    return [sorted(rows, key=lambda row: int(row["episode_seed"])) for rows in played]
+    return [sorted(rows, key=lambda row: int(row.get("episode_seed", 0))) for rows in played]
 
 
 def _summary_rows(rows: Sequence[tuple[Value, ...]]) -> list[tuple[Value, ...]]:

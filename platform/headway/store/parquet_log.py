@@ -90,14 +90,17 @@ def read(
     They are sorted by `iteration` (if that column exists), then in the order written; without rows the frame
     is empty. `columns`: columns to read, if they exist; None: all. Columns are float64, int64 (float64 if
     some rows lack the column) or string, and may differ between segments. Raises HeadwayError if a segment
-    cannot be read.
+    cannot be read, and if a column is text in one and numbers in another.
     """
     import pandas as pd
 
     tables = _tables(directory, table, after, columns)
     if not tables:
         return pd.DataFrame()
-    frame: pd.DataFrame = _concatenated(tables).to_pandas()
+    try:
+        frame: pd.DataFrame = _concatenated(tables).to_pandas()
+    except ValueError as error:
+        raise HeadwayError(f"{directory}, table {table}: {error}; remove the damaged segment") from error
     if "iteration" in frame.columns:
         frame = frame.sort_values("iteration", kind="stable", ignore_index=True)
     return frame

@@ -207,13 +207,22 @@ def plans_folder(root: Path, study: str) -> Path:
 def run_folders(root: Path) -> Iterator[Path]:
     """Yield every run folder under `root`, in no particular order."""
     try:
-        studies = [entry for entry in os.scandir(root) if entry.is_dir()]
+        studies = _folders(root)
     except FileNotFoundError:
         return
     for study in studies:
-        for entry in os.scandir(study.path):
-            if entry.is_dir() and Path(entry.path, RECORD).exists():
-                yield Path(entry.path)
+        yield from (Path(folder) for folder in _folders(study) if Path(folder, RECORD).exists())
+
+
+def _folders(path: str | Path) -> list[str]:
+    return [entry.path for entry in os.scandir(path) if _is_folder(entry)]
+
+
+def _is_folder(entry: "os.DirEntry[str]") -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:  # a link to itself
+        return False
 
 
 def find_run(root: Path, run_id: str) -> Path:

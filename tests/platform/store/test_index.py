@@ -128,6 +128,13 @@ def test_a_file_that_cannot_be_read_to_its_end_is_a_notice(tmp_path: Path, name:
     assert [str(path) in notice for notice in index.notices] == [True]
 
 
+def test_a_link_to_itself_hides_no_run(tmp_path: Path) -> None:
+    _run(tmp_path, 0)
+    for folder in (tmp_path, tmp_path / "study"):
+        (folder / "loop").symlink_to("loop")
+    assert [row.seed for row in RunIndex(tmp_path).rows()] == [0]
+
+
 @pytest.mark.parametrize("value", [10**400, 1e308, float("nan"), "/dev/zero", [1.0]])
 def test_a_figure_that_is_no_number_is_left_out(tmp_path: Path, value: object) -> None:
     folder = _run(tmp_path, 0)

@@ -88,6 +88,15 @@ def test_text_and_numbers_do_not_mix(tmp_path: Path) -> None:
         run.commit(1)
 
 
+def test_a_segment_of_other_types_is_named_by_its_column(tmp_path: Path) -> None:
+    run = RunLog(tmp_path)
+    for iteration, value in ((1, 1.0), (2, "one")):
+        run.append("curve", [{"x": value}])
+        run.commit(iteration)
+    with pytest.raises(HeadwayError, match=r"table curve: .* text and numbers .* Field x .*; remove"):
+        parquet_log.read(tmp_path, "curve")
+
+
 def test_a_full_disk_is_one_line_and_loses_no_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = RunLog(tmp_path)
     run.append("curve", [{"iteration": 1}])
