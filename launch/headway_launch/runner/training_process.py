@@ -12,7 +12,7 @@ from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING
 
-from headway.contracts.errors import HeadwayError
+from headway.contracts.errors import HeadwayError, one_line
 from headway.events import Event, Failed
 from headway.rollout.forks import end_if_forked
 
@@ -146,7 +146,7 @@ def _run(connection: Connection) -> None:
     try:
         work: Work = connection.recv()
         work(partial(_send, connection, os.getpid()), connection.poll)
-    except (BrokenPipeError, EOFError):
+    except EOFError:  # the session has ended
         _end_group()
     connection.close()
 
@@ -154,22 +154,21 @@ def _run(connection: Connection) -> None:
 def _send(connection: Connection, process_id: int, event: Event) -> None:
     """Report an event, unless an environment forked this process off the training process."""
     end_if_forked(process_id)
-    connection.send(event)
+    try:
+        connection.send(event)
+    except BrokenPipeError:  # the session has ended
+        _end_group()
 
 
 def train_and_report(job: "TrainingJob", report: Report, should_stop: ShouldStop) -> None:
-    """Train a job; report an error as its final event. Raises BrokenPipeError if the session has ended."""
+    """Train a job; report an error as its final event."""
     from headway.training.loop import train
 
     try:
         train(job, report, should_stop)
-    except BrokenPipeError:
-        raise
-    except HeadwayError as error:
-        report(Failed(str(error), f"{error.details}{traceback.format_exc()}"))
-    except (Exception, SystemExit) as error:  # SystemExit: of an environment
-        line = f"{type(error).__name__}: {error}".splitlines()[0]
-        report(Failed(line, traceback.format_exc()))
+    except BaseException as error:  # an environment may raise anything, and call sys.exit
+        details = error.details if isinstance(error, HeadwayError) else ""
+        report(Failed(one_line(error), f"{details}{traceback.format_exc()}"))
 
 
 def _end_with_session() -> None:

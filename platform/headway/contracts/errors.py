@@ -13,6 +13,17 @@ class HeadwayError(Exception):
         self.details = details
 
 
+def one_line(error: BaseException) -> str:
+    """Return an error in one line: of a HeadwayError its message, of others type and first line of it."""
+    try:
+        text = str(error)
+    except Exception:  # of an environment's own class
+        text = "its message cannot be read"
+    if isinstance(error, HeadwayError):
+        return text
+    return f"{type(error).__name__}: {text}".splitlines()[0]
+
+
 class InvalidValueError(ValueError):
     """A value that a configuration record rejects. The message consists of `key` and `problem`.
 

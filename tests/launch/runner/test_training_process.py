@@ -5,10 +5,11 @@ from functools import partial
 from multiprocessing import get_context
 from threading import Thread
 from types import SimpleNamespace
-from typing import cast
+from typing import NoReturn, cast
 
 import pytest
 
+from headway.contracts.errors import HeadwayError
 from headway.events import Event, Failed
 from headway.training import loop
 from headway.training.loop import TrainingJob
@@ -35,10 +36,31 @@ def test_a_process_killed_before_it_has_read_its_work_is_at_its_end(monkeypatch:
     assert received == [None, "its training process ended with exit code 3 and without a final event"]
 
 
-def test_an_environment_that_ends_its_training_process_fails_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loop, "train", lambda job, report, should_stop: sys.exit(5))
+class _UnreadableError(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("no message")
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (SystemExit(5), "SystemExit: 5"),
+        (BaseException("all\nof it"), "BaseException: all"),
+        (_UnreadableError(), "_UnreadableError: its message cannot be read"),
+        (BrokenPipeError(32, "Broken pipe"), "BrokenPipeError: [Errno 32] Broken pipe"),
+        (HeadwayError("set algo.lr"), "set algo.lr"),
+    ],
+)
+def test_whatever_an_environment_raises_fails_the_run_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, error: BaseException, line: str
+) -> None:
+    def train(*_: object) -> NoReturn:
+        raise error
+
+    monkeypatch.setattr(loop, "train", train)
     events: list[Event] = []
     train_and_report(cast(TrainingJob, None), events.append, lambda: False)
     [failed] = events
     assert isinstance(failed, Failed)
-    assert failed.line == "SystemExit: 5"
+    assert failed.line == line
+    assert type(error).__name__ in failed.traceback

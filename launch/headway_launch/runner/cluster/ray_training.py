@@ -14,6 +14,7 @@ from pathlib import Path
 
 import ray
 
+from headway.contracts.errors import one_line
 from headway.events import (
     EvaluationFinished,
     Event,
@@ -59,7 +60,7 @@ class TrainingHost:
                 return
             train_and_report(job, self._put, self.stop.is_set)
         except Exception as error:
-            self.events.put(Failed(f"{type(error).__name__}: {error}".splitlines()[0], ""))
+            self.events.put(Failed(one_line(error), ""))
         finally:
             self.events.put(None)
 

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from headway.contracts import Contribution, HeadwayError, Trajectory
 from headway.contracts.acting_policy import Parameters
+from headway.contracts.errors import one_line
 from headway.contracts.trajectory import arrays_in
 from headway.events import Row, Usage
 from headway.rollout.episodes import EvaluationRequest, evaluate_policy
@@ -172,9 +173,9 @@ class CommandServer:
             # Pickled inside the try block: a snapshot that cannot be pickled becomes an answer too.
             return reduction.ForkingPickler.dumps(replace(done, seconds=time.monotonic() - began))
         except BaseException as error:  # an environment may also call sys.exit
-            line = str(error) if isinstance(error, HeadwayError) else f"{type(error).__name__}: {error}"
             is_user_error = isinstance(error, HeadwayError)
-            return reduction.ForkingPickler.dumps(CommandFailed(line, traceback.format_exc(), is_user_error))
+            failed = CommandFailed(one_line(error), traceback.format_exc(), is_user_error)
+            return reduction.ForkingPickler.dumps(failed)
 
 
 class SamplingService:

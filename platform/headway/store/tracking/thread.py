@@ -8,6 +8,7 @@ from pathlib import Path
 
 from headway.config.experiment import without_password
 from headway.contracts import HeadwayError
+from headway.contracts.errors import one_line
 from headway.store.tracking.client import Tracker, TrackingError, require_answer
 
 _RETRY_SECONDS = 30.0
@@ -51,7 +52,7 @@ class TrackingThread:
             return
         self.close(0.0)
         if self._problem is not None:
-            raise HeadwayError(_message(self._problem))
+            raise HeadwayError(one_line(self._problem))
         raise HeadwayError(f"MLflow at {self._where} did not respond within {_CONNECT_SECONDS:g} s")
 
     def submit(self, update: TrackingUpdate) -> None:
@@ -113,7 +114,7 @@ class TrackingThread:
                 del unsent[update]
         except Exception as error:  # no tracking error may end the session
             if self._problem is None:
-                self._notices.put(f"MLflow is behind ({_message(error)}): training goes on, {_LATER}")
+                self._notices.put(f"MLflow is behind ({one_line(error)}): training goes on, {_LATER}")
             self._tracker, self._problem = None, error
             self._retry_at = time.monotonic() + _RETRY_SECONDS
             with self._changed:
@@ -137,7 +138,7 @@ class TrackingThread:
         except TrackingError:
             raise
         except Exception as error:  # no tracking error may end the session
-            notice = f"MLflow is incomplete ({_message(error)}): training goes on"
+            notice = f"MLflow is incomplete ({one_line(error)}): training goes on"
             if notice not in self._reported:
                 self._reported.add(notice)
                 self._notices.put(notice)
@@ -148,7 +149,3 @@ class TrackingThread:
 
 
 _LATER = "the runs' folders hold everything, and the next session or `headway sync` brings MLflow up to date"
-
-
-def _message(error: Exception) -> str:
-    return str(error) if isinstance(error, HeadwayError) else f"{type(error).__name__}: {error}"
