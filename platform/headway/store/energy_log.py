@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 from headway.contracts import HeadwayError
 from headway.events import Row
-from headway.store.atomic_files import write_durably
+from headway.store.atomic_files import require_regular, write_durably
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow as pa
 
 _NAME = "energy.parquet"
 _WRITE_SECONDS = 60.0
@@ -29,7 +30,10 @@ class EnergyLog:
         self._rows.append(sample)
 
     def last(self) -> Row:
-        """Return the last sample, possibly from an earlier session; empty if there is none."""
+        """Return the last sample, possibly from an earlier session; empty if there is none.
+
+        Raises HeadwayError if the samples of earlier sessions cannot be read.
+        """
         self._load()
         return self._rows[-1] if self._rows else {}
 
@@ -53,9 +57,7 @@ class EnergyLog:
 
     def _load(self) -> None:
         if not self._loaded and self._path.exists():
-            import pyarrow.parquet as pq
-
-            stored = pq.ParquetFile(self._path).read().to_pylist()
+            stored = _read(self._path).to_pylist()
             known = ({name: value for name, value in row.items() if value is not None} for row in stored)
             self._rows = [*known, *self._rows]
         self._loaded = True
@@ -67,14 +69,21 @@ def read_energy(directory: Path) -> "pd.DataFrame":
     Raises HeadwayError if the file cannot be read.
     """
     import pandas as pd
-    import pyarrow as pa
-    import pyarrow.parquet as pq
 
     path = directory / _NAME
     if not path.exists():
         return pd.DataFrame()
-    try:
-        samples: pd.DataFrame = pq.ParquetFile(path).read().to_pandas()
-    except (OSError, pa.ArrowInvalid) as error:
-        raise HeadwayError(f"{path} cannot be read as Parquet: remove it to use the rest") from error
+    samples: pd.DataFrame = _read(path).to_pandas()
     return samples
+
+
+def _read(path: Path) -> "pa.Table":
+    """Return the samples in a file. Raises HeadwayError if it cannot be read."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    require_regular(path)
+    try:
+        return pq.ParquetFile(path).read()
+    except (OSError, pa.ArrowException) as error:
+        raise HeadwayError(f"{path} cannot be read as Parquet: remove it to use the rest") from error

@@ -188,7 +188,10 @@ def _read_frame(name: str, content: bytes | None) -> pd.DataFrame:
         return pd.DataFrame({column: pd.Series(dtype="str") for column in wanted})
     encoding = _encoding(content)
     header = content.split(b"\n", 1)[0].decode(encoding).lstrip("\ufeff")
-    columns = [column.strip() for column in next(csv.reader([header]), [])]
+    try:
+        columns = [column.strip() for column in next(csv.reader([header]), [])]
+    except csv.Error as error:
+        raise HeadwayError(f"FEED: {name}.txt is not a table of comma-separated values ({error})") from error
     for column in needed:
         if column not in columns:
             raise HeadwayError(

@@ -324,6 +324,11 @@ def test_a_pipe_in_a_feed_is_not_read(write_feed: FeedWriter) -> None:
         imported(folder)
 
 
+def test_a_header_that_is_no_header_is_named(write_feed: FeedWriter) -> None:
+    with pytest.raises(HeadwayError, match=r"trips\.txt is not a table of comma-separated values"):
+        imported(write_feed(trips="a\rb,c\n1,2\n"))
+
+
 def test_a_file_that_cannot_be_read_is_named(write_feed: FeedWriter) -> None:
     folder = write_feed(agency=None)
     (folder / "agency.txt").symlink_to("/proc/self/mem")  # a regular file, but not readable at its start
