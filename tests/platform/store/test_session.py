@@ -261,6 +261,19 @@ def test_what_belongs_to_a_cell_reaches_mlflow_later_and_once(root: Path) -> Non
     assert any(f"{path} is not the summary of a cell" in line for line in lines)
 
 
+def test_a_device_in_a_run_folder_is_not_sent(root: Path) -> None:
+    """Nor a pipe, with which the sending session would hang."""
+    store = SessionStore.open(StoreConfig(root=str(root)))
+    run = _begin(store)
+    _train(run, 1, ITERATIONS)
+    (run.directory / "episodes-000002.parquet").symlink_to("/dev/null")
+    run.finish("FINISHED", {"final_reward": 2.0})
+    assert not store.close()
+    sent = {path.name for path in (root / "mlflow-artifacts").rglob("*.*")}
+    assert "run.json" in sent
+    assert "episodes-000002.parquet" not in sent
+
+
 def test_an_unreadable_run_does_not_block_other_runs(root: Path) -> None:
     """In training, at the end of the next session and in `sync`; each time with a notice."""
     store = SessionStore.open(StoreConfig(root=str(root)))

@@ -98,7 +98,8 @@ class RunSync:
             self._sent_iteration = int(durable[-1]["iteration"])
 
     def _complete(self, tracker: Tracker, child: str, record: RunRecord) -> None:
-        files = sorted(file for pattern in _FILES for file in self.directory.glob(pattern))
+        matching = (file for pattern in _FILES for file in self.directory.glob(pattern))
+        files = sorted(file for file in matching if file.is_file())  # copying a pipe would never end
         status = record.settled_status
         # The summary of a run that may be resumed can still change, and MLflow only appends.
         summary = _numbers(read_summary(self.directory)) if status == "FINISHED" else {}
