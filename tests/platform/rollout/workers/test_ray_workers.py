@@ -74,8 +74,10 @@ def test_workers_import_the_same_modules_as_this_process() -> None:
     assert ray.get(ray.remote(num_cpus=0)(place).remote()) == "first"
 
 
-def _collected(plan: RolloutPlan, name: str, notices: list[str] | None = None) -> list[Taken]:
-    with collector_of(plan, name, 2, print if notices is None else notices.append) as collector:
+def _collected(
+    plan: RolloutPlan, name: str, notices: list[str] | None = None, timeout_s: float | None = None
+) -> list[Taken]:
+    with collector_of(plan, name, 2, print if notices is None else notices.append, timeout_s) as collector:
         collector.begin()
         return iterations_of(collector, parameters_of(plan), 1, 3)
 
@@ -136,13 +138,19 @@ def _faulty(folder: Path, fault: Fault = "kill", times: int = 1) -> RolloutPlan:
     [
         ("kill", "its worker process has died"),
         ("raise", "RuntimeError: the bridge is out"),
+        (
+            "hang",
+            "no answer for 5 s while stepping faulty in iteration 2; if it is only slow, set a higher "
+            "backend.worker_timeout_s",
+        ),
     ],
 )
 def test_a_ray_worker_that_fails_does_not_change_the_data(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], fault: Fault, reason: str
 ) -> None:
     notices: list[str] = []
-    disturbed = _collected(_faulty(tmp_path, fault), "ray", notices)
+    timeout_s = 5.0 if fault == "hang" else None
+    disturbed = _collected(_faulty(tmp_path, fault), "ray", notices, timeout_s)
     assert_same(_collected(_faulty(tmp_path, times=0), "process"), disturbed)
     assert notices == [
         f"worker {notices[0][7]} failed ({reason}); replaced, repeating its part from the last snapshot"
