@@ -18,7 +18,7 @@ from tests.robustness.sessions import BOUND_S, TINY, Session, session_outcome
 from tests.trials.killed_study import processes_of, results_of
 from tests.trials.same_study import differences
 
-STUDY = "struck"
+STUDY = "disturbed"
 BASE = (
     f"study={STUDY}", *TINY, "rollout.copies=4", "rollout.block=2", "rollout.steps=10", "backend.parallel=1",
     "store.checkpoint_every=10", "backend.worker_timeout_s=2", "store.root=runs",
@@ -37,10 +37,10 @@ _POLL_S = 0.1
 
 
 @dataclass(frozen=True)
-class Blow:
+class Disturbance:
     """A signal to a process of a session."""
 
-    victim: str
+    target: str
     number: signal.Signals
     continues: bool = False
     """SIGCONT follows SIGSTOP."""
@@ -48,24 +48,24 @@ class Blow:
     @property
     def label(self) -> str:
         """Its name in messages."""
-        return f"{self.number.name}{' and SIGCONT' if self.continues else ''} to {self.victim}"
+        return f"{self.number.name}{' and SIGCONT' if self.continues else ''} to {self.target}"
 
 
-VICTIMS = ("session", "training process", "rollout worker", "fork server")
-BLOWS = (
+TARGETS = ("session", "training process", "rollout worker", "fork server")
+DISTURBANCES = (
     *(
-        Blow(victim, number)
-        for victim in (*VICTIMS, "process group")
+        Disturbance(target, number)
+        for target in (*TARGETS, "process group")
         for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
         # Ctrl-C does not reach the fork server: its process group is that of the training process.
-        if (victim, number) != ("fork server", signal.SIGINT)
+        if (target, number) != ("fork server", signal.SIGINT)
     ),
-    *(Blow(victim, signal.SIGSTOP, continues) for victim in VICTIMS for continues in (False, True)),
+    *(Disturbance(target, signal.SIGSTOP, continues) for target in TARGETS for continues in (False, True)),
 )
 
 
 @dataclass
-class StruckStudy:
+class DisturbedStudy:
     """A study in its store, and what has happened to it."""
 
     sweep: Sequence[str]
@@ -82,14 +82,14 @@ class StruckStudy:
         """The store."""
         return self.folder / "runs"
 
-    def strike(self, number: int) -> None:
+    def disturb(self, number: int) -> None:
         """Run sessions until `number` signals have reached their processes or the study has finished."""
         for session in range(3 * number):
             if self.table or len(self.outcomes) >= number:
                 break
             resumes = session % 2 and RunIndex(self.root).rows()
             words = ["resume", "--study", STUDY] if resumes else ["sweep", *self.sweep]
-            self.session(words, self.chance.choices(BLOWS, k=number - len(self.outcomes)))
+            self.session(words, self.chance.choices(DISTURBANCES, k=number - len(self.outcomes)))
 
     def finish(self) -> None:
         """Run the sweep until it has finished."""
@@ -97,12 +97,12 @@ class StruckStudy:
             if not self.table:
                 self.session(["sweep", *self.sweep], [])
 
-    def session(self, words: Sequence[str], blows: Sequence[Blow]) -> None:
-        """Run a session and strike it until it ends or has had all blows."""
+    def session(self, words: Sequence[str], disturbances: Sequence[Disturbance]) -> None:
+        """Run a session and disturb it until it ends or has had all disturbances."""
         with Session(words, self.folder) as session:
             first, sent = len(self.outcomes), list[signal.Signals]()
-            for blow in blows:
-                sent += self._strike_once(session, blow)
+            for disturbance in disturbances:
+                sent += self._disturb_once(session, disturbance)
             code = session.end(_STOP_S if sent else BOUND_S)
             outcome = session_outcome(code, session.err, sent)
             self.history.append(f"{words[0]} ended with code {code}")
@@ -114,32 +114,32 @@ class StruckStudy:
                 self.outcomes.append(outcome)
             self.table = session.out if code == 0 else ""
 
-    def _strike_once(self, session: Session, blow: Blow) -> list[signal.Signals]:
-        """Strike as soon as there is a victim; return the signals that should end the session."""
-        process = self._victim(session, blow.victim)
-        if process is None or not _send(process, blow):
+    def _disturb_once(self, session: Session, disturbance: Disturbance) -> list[signal.Signals]:
+        """Strike as soon as there is a target; return the signals that should end the session."""
+        process = self._target(session, disturbance.target)
+        if process is None or not _send(process, disturbance):
             return []
-        self.history.append(blow.label)
+        self.history.append(disturbance.label)
         self.outcomes.append(Outcome.ACCEPTED)
-        if blow.number != signal.SIGSTOP:
-            return [blow.number] if blow.victim in ("session", "process group") else []
-        if blow.victim == "rollout worker" and not blow.continues:
+        if disturbance.number != signal.SIGSTOP:
+            return [disturbance.number] if disturbance.target in ("session", "process group") else []
+        if disturbance.target == "rollout worker" and not disturbance.continues:
             return []  # it is replaced
         time.sleep(self.chance.uniform(0.1, 4.0))
-        if blow.continues:
-            _send(process, Blow(blow.victim, signal.SIGCONT))
+        if disturbance.continues:
+            _send(process, Disturbance(disturbance.target, signal.SIGCONT))
             return []
-        ending = signal.SIGKILL if blow.victim == "session" else signal.SIGTERM
+        ending = signal.SIGKILL if disturbance.target == "session" else signal.SIGTERM
         session.send(ending)
         return [ending]
 
-    def _victim(self, session: Session, victim: str) -> psutil.Process | None:
-        """Return a random process to strike after a random time, None if the session ends before."""
+    def _target(self, session: Session, target: str) -> psutil.Process | None:
+        """Return a random process to disturb after a random time, None if the session ends before."""
         deadline = time.monotonic() + BOUND_S
         while session.is_running and time.monotonic() < deadline:
-            if processes_of(session.process.pid, victim):
-                time.sleep(self.chance.uniform(0.0, 8.0 if victim in ("session", "process group") else 2.0))
-                processes = processes_of(session.process.pid, victim) if session.is_running else []
+            if processes_of(session.process.pid, target):
+                time.sleep(self.chance.uniform(0.0, 8.0 if target in ("session", "process group") else 2.0))
+                processes = processes_of(session.process.pid, target) if session.is_running else []
                 return self.chance.choice(processes) if processes else None
             time.sleep(_POLL_S)
         return None
@@ -155,17 +155,17 @@ def campaign(scale: Scale, seed: int, folder: Path) -> list[Tally]:
         sweep, whole = [*STUDIES[name], *BASE], folder / f"{name}-whole"
         if name not in tables:
             tables[name] = undisturbed(sweep, whole)
-        struck = StruckStudy(sweep, folder / f"{name}-{number}", random.Random(f"{seed} {number}"))
-        struck.strike(min(_ROUND, scale.kills - done))
-        done += len(struck.outcomes)
-        struck.finish()
-        found = compared(struck.table, struck.root, tables[name], whole / "runs")
-        repeat = f"round {number} of seed {seed}: {'; '.join(struck.history)}"
-        for outcome in struck.outcomes:
+        disturbed = DisturbedStudy(sweep, folder / f"{name}-{number}", random.Random(f"{seed} {number}"))
+        disturbed.disturb(min(_ROUND, scale.kills - done))
+        done += len(disturbed.outcomes)
+        disturbed.finish()
+        found = compared(disturbed.table, disturbed.root, tables[name], whole / "runs")
+        repeat = f"round {number} of seed {seed}: {'; '.join(disturbed.history)}"
+        for outcome in disturbed.outcomes:
             tallies[name].add(outcome, repeat)
         if found:
             tallies[name].add(Outcome.LOST, f"{repeat}: {found}")
-        shutil.rmtree(struck.folder)
+        shutil.rmtree(disturbed.folder)
         number += 1
     return list(tallies.values())
 
@@ -187,13 +187,13 @@ def compared(table: str, root: Path, whole_table: str, whole: Path) -> list[str]
     return [*tables, *differences(whole, root)]
 
 
-def _send(process: psutil.Process, blow: Blow) -> bool:
+def _send(process: psutil.Process, disturbance: Disturbance) -> bool:
     """Send the signal; return whether the process existed."""
     try:
-        if blow.victim == "process group":
-            os.killpg(process.pid, blow.number)
+        if disturbance.target == "process group":
+            os.killpg(process.pid, disturbance.number)
         else:
-            process.send_signal(blow.number)
+            process.send_signal(disturbance.number)
     except (psutil.NoSuchProcess, ProcessLookupError):
         return False
     return True

@@ -11,32 +11,32 @@ import pytest
 
 from headway.store.index import RunIndex
 from tests.robustness.environments import Case, install_module, run_case
-from tests.robustness.kills import BASE, STUDIES, Blow, StruckStudy, compared, undisturbed
+from tests.robustness.kills import BASE, STUDIES, Disturbance, DisturbedStudy, compared, undisturbed
 from tests.robustness.outcomes import Outcome
 from tests.robustness.storage import size_limit
 
 pytestmark = pytest.mark.slow
 
 
-def test_a_struck_study_equals_the_undisturbed_one_and_a_loss_is_noticed(
+def test_a_disturbed_study_equals_the_undisturbed_one_and_a_loss_is_noticed(
     tmp_path: Path, empty_database: Path
 ) -> None:
-    for name in ("whole", "struck"):
+    for name in ("whole", "disturbed"):
         (root := tmp_path / name / "runs").mkdir(parents=True)
         shutil.copy(empty_database, root)
     sweep = [*STUDIES["workers"], *BASE, "seed=0", "env_steps=2400"]
     table, whole = undisturbed(sweep, tmp_path / "whole"), tmp_path / "whole" / "runs"
-    struck = StruckStudy(sweep, tmp_path / "struck", random.Random(1))
-    struck.session(["sweep", *sweep], [Blow("rollout worker", signal.SIGKILL)])
-    assert struck.outcomes == [Outcome.ACCEPTED]
-    assert "SIGKILL to rollout worker" in struck.history
-    assert compared(struck.table, struck.root, table, whole) == []
+    disturbed = DisturbedStudy(sweep, tmp_path / "disturbed", random.Random(1))
+    disturbed.session(["sweep", *sweep], [Disturbance("rollout worker", signal.SIGKILL)])
+    assert disturbed.outcomes == [Outcome.ACCEPTED]
+    assert "SIGKILL to rollout worker" in disturbed.history
+    assert compared(disturbed.table, disturbed.root, table, whole) == []
 
-    [run] = RunIndex(struck.root).rows()
+    [run] = RunIndex(disturbed.root).rows()
     next(Path(run.directory).glob("curve-*.parquet")).unlink()
-    with sqlite3.connect(struck.root / "mlflow.db") as database:
+    with sqlite3.connect(disturbed.root / "mlflow.db") as database:
         database.execute("DELETE FROM metrics WHERE key LIKE 'policy/%'")
-    found = "\n".join(compared(struck.table, struck.root, table, whole))
+    found = "\n".join(compared(disturbed.table, disturbed.root, table, whole))
     assert "curve differ" in found
     assert "MLflow's curves differs" in found
 

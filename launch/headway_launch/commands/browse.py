@@ -83,19 +83,21 @@ def _listen(port: int) -> socket.socket:
 def _update_database(root: Path) -> bool:
     """Send what MLflow's database lacks: ended runs, and the view of each study's runs.
 
-    Returns whether the experiments have the view; the database may be another user's.
+    Returns whether the experiments have the view. A database that cannot be written, such as another user's,
+    is a notice.
     """
     from headway.store.index import RunIndex
-    from headway.store.tracking.client import Tracker, TrackingError
+    from headway.store.tracking.client import Tracker
     from headway.store.tracking.sync import local_experiment, sync
 
-    for line in sync(root):
-        print_line(f"headway: {line}")
-    tracker = Tracker(root)
-    found = (local_experiment(Path(row.directory)) for row in RunIndex(root).rows())
     try:
+        for line in sync(root):
+            print_line(f"headway: {line}")
+        tracker = Tracker(root)
+        found = (local_experiment(Path(row.directory)) for row in RunIndex(root).rows())
         for experiment in {name for name in found if name}:
             tracker.add_view(experiment)
-    except TrackingError:
+    except HeadwayError as error:
+        print_line(f"headway: MLflow's database is shown as it is: {error}")
         return False
     return True

@@ -36,7 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Continue training; return the highest exit code of the sessions."""
-    from headway.store.run_folder import RunRecord
     from headway_launch.console.output import print_line
     from headway_launch.runner.runner import EXIT_STOPPED, run_sessions
     from headway_launch.runner.stored_run import StoredRun
@@ -61,8 +60,8 @@ def execute(arguments: argparse.Namespace) -> int:
         run.record.require_free()
     if not arguments.study:
         code, left = run_sessions(_cells_of(runs), arguments.debug)
-        for directory in left:
-            RunRecord.read(directory).require_free()
+        if code != EXIT_STOPPED:
+            require_all_ended(runs[0].record.study, left)
         return code
     cells, held = _cells_of_study(root, arguments.study, runs)
     code, left = run_sessions(cells, arguments.debug, plan_kept=True)

@@ -20,8 +20,8 @@ examples:
 KEY=VALUE as for `headway run`; several values in Hydra's grammar make one cell each: a,b, choice(a,b),
 range(0,5), or glob(*) for options of a group. All cells and seeds train in parallel, as many at a time as
 there are cores. Repeating a sweep continues it: finished runs are kept, stopped runs continue from their
-checkpoints. A changed configuration is a new cell of the study. The same sweep started several times at once,
-on one machine or on several that share the store, divides the runs among its sessions.
+checkpoints. A changed configuration is a new cell of the study. The same sweep started several times at once
+on one machine divides the runs among its sessions.
 With --slurm, nothing is trained; a script for sbatch is written and its path printed.
 Exit code: 0 all runs have finished; 2 some failed (the others were completed) or belong to another session;
 130 interrupted.

@@ -54,6 +54,10 @@ def upgraded(mapping: Mapping[str, Any]) -> dict[str, Any]:
     store = mapping.get("store")
     if isinstance(store, Mapping) and isinstance(uri := store.get("tracking_uri"), str):
         mapping = {**mapping, "store": {**store, "tracking_uri": without_password(uri)}}
+    backend = mapping.get("backend")
+    if isinstance(backend, Mapping) and "patience_s" in backend:
+        backend = {**backend, "worker_timeout_s": backend["patience_s"]}  # its former name
+        mapping = {**mapping, "backend": {key: backend[key] for key in backend if key != "patience_s"}}
     algo = mapping.get("algo")
     entry = algo_entries().get(algo.get("name", "")) if isinstance(algo, Mapping) else None
     if entry is None or not isinstance(algo, Mapping):

@@ -3,7 +3,7 @@
 import base64
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from headway_launch.report.elements import Listing, Part, Picture, Section, Tabl
 
 PAGE = "report.html"
 _PARTS = ("tables", "pictures", "configs")
+_FILES = "Beside this page are its tables as Markdown and CSV (with all digits) and its pictures as PNG."
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def write_report(report: Report, folder: Path) -> Path:
             path for section in report.sections for part in section.body for path in _write_part(part, folder)
         }
         page = folder / PAGE
-        page.write_text(html(report), encoding="utf-8")
+        page.write_text(html(replace(report, footer=f"{report.footer} {_FILES}")), encoding="utf-8")
     except OSError as error:
         raise write_error("--output", folder, error) from error
     others = sorted(

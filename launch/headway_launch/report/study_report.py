@@ -43,8 +43,7 @@ def report_of(data: StudyData) -> Report:
         f"{counted(data.rules['rule'].nunique(), 'classical rule')}",
         summary=_summary(data),
         sections=[section for section in sections if section is not None],
-        footer=f"Written by headway {version('headway')} on {moment} from the store's files alone. Beside "
-        "this page are its tables as Markdown and CSV (with all digits) and its pictures as PNG.",
+        footer=f"Written by headway {version('headway')} on {moment} from the store's files alone.",
     )
 
 

@@ -2,11 +2,13 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 
 from headway.config.schema import plain
+from headway.contracts.errors import HeadwayError
 from headway.events import Row
 from headway.store.atomic_files import read_json
 from headway.store.checkpoint import latest_iteration
@@ -52,8 +54,7 @@ class SessionCell:
         has finished, one of them.
         """
         if planned.resumed:
-            stacked = len(planned.seeds) > 1
-            return [self._store.resume(run_id, stacked=stacked) for run_id in planned.resumed]
+            return self._store.resume(planned.resumed)
         import yaml
 
         experiment = planned.experiment
@@ -81,23 +82,22 @@ class SessionCell:
     def _require_untaken(self, seeds: Sequence[int]) -> None:
         """Raise RunTakenError if another session has begun a run of these seeds since this one was planned.
 
-        A run that has failed or was killed since does not count.
+        A run that has failed or was killed since does not count, nor one that cannot be read.
         """
         known, root = self.plan.known_runs, Path(self.config.store.root)
         if known is None:
             return
         wanted = identity(full_mapping(self.experiment, ()))
-        begun = [
-            StoredRun.read(root, folder)
-            for seed in seeds
-            for folder in folders_of_seed(root, self.config.study, self._cell.name, seed)
-            if folder.name not in known
-        ]
-        taken = [
-            run.directory
-            for run in begun
-            if run.identity == wanted and run.record.settled_status in ("RUNNING", "FINISHED")
-        ]
+        taken = []
+        for seed in seeds:
+            for folder in folders_of_seed(root, self.config.study, self._cell.name, seed):
+                if folder.name in known:
+                    continue
+                with suppress(HeadwayError):
+                    run = StoredRun.read(root, folder)
+                    if run.identity == wanted and run.record.settled_status in ("RUNNING", "FINISHED"):
+                        taken.append(folder)
+                        break
         if taken:
             raise RunTakenError(f"{taken[0].name} is a run of another session", taken)
 

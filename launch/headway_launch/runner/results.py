@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.config.experiment import ExperimentConfig
+from headway.contracts.errors import HeadwayError
 from headway.events import Row
 from headway.store.run_folder import RunRecord, read_summary
 from headway.wording import counted
@@ -229,25 +231,22 @@ def _print_unchanged(results: Sequence[SeedResult], modes: Sequence[str]) -> Non
     """Print which seeds' policies returned the same in every evaluation, that before training included."""
     from headway.store.parquet_log import read_curve
 
-    finished = [result for result in results if result.status == "FINISHED"]
-    curves = [
-        {
-            mode: list(read_curve(Path(result.directory), f"evaluation_{mode}/return").values())
-            for mode in modes
-        }
-        for result in finished
-    ]
-    first = modes[0]
-    unchanged = [
-        (result.seed, curve)
-        for result, curve in zip(finished, curves, strict=True)
-        if len(curve[first]) > 1 and len(set(curve[first])) == 1
-    ]
-    for seed, curve in unchanged[:_MAX_UNCHANGED]:
-        others = [f"{mode} return from {curve[mode][0]:.4g} to {curve[mode][-1]:.4g}" for mode in modes[1:]]
+    unchanged = []
+    for result in results:
+        if result.status == "FINISHED":
+            with suppress(HeadwayError):  # a damaged log hides no result
+                curves = [read_curve(Path(result.directory), f"evaluation_{mode}/return") for mode in modes]
+                first, *others = (list(curve.values()) for curve in curves)
+                if len(first) > 1 and len(set(first)) == 1:
+                    unchanged.append((result.seed, first[0], others))
+    for seed, value, others in unchanged[:_MAX_UNCHANGED]:
+        changes = [
+            f"; {mode} return from {values[0]:.4g} to {values[-1]:.4g}"
+            for mode, values in zip(modes[1:], others, strict=True)
+        ]
         print_line(
-            f"seed {seed}: the {first} return was {curve[first][0]:.4g} in every evaluation, also before "
-            f"training; {''.join(f'{other}; ' for other in others)}train longer (env_steps)"
+            f"seed {seed}: the {modes[0]} return was {value:.4g} in every evaluation, also before training"
+            + "".join(changes)
         )
     if len(unchanged) > _MAX_UNCHANGED:
         print_line(f"and {len(unchanged) - _MAX_UNCHANGED} more seeds likewise")

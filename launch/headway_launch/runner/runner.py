@@ -135,7 +135,10 @@ class Runner:
         metrics = self._energy.stop()
         for cell in self._cells:
             # Also cells without jobs: a killed session may have left them open in MLflow.
-            statuses = [job.stored_status for job in self._jobs if job.cell is cell and not job.elsewhere]
+            jobs = [job for job in self._jobs if job.cell is cell]
+            if jobs and all(job.elsewhere for job in jobs):
+                continue  # other sessions train it
+            statuses = [job.stored_status for job in jobs if not job.elsewhere]
             try:
                 cell.finish(statuses, metrics if cell.touched else {})
             except HeadwayError as error:  # the runs are stored
@@ -145,7 +148,11 @@ class Runner:
         if stopped:
             return EXIT_STOPPED
         failed = any(job.stored_status == "FAILED" for job in self._jobs)
-        return EXIT_FAILED if failed else EXIT_DONE
+        return EXIT_FAILED if failed or self._untrained() else EXIT_DONE
+
+    def _untrained(self) -> int:
+        """Return the number of seeds that have no run, because another session has part of their stack."""
+        return sum(len(job.planned.seeds) - len(job.elsewhere) for job in self._jobs if job.elsewhere)
 
     def _print(self) -> None:
         if len(self._cells) == 1:

@@ -23,6 +23,8 @@ from headway_launch.runner.training_process import Training
 _POLL_S = 0.2
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _SAME_REQUEST_S = 1.0
+_SILENT_S = 3 * MIN_TIMEOUT_S
+"""Least silence of a training process that is noticed, s: it may wait for a worker and its replacement."""
 _STOP_S = 10.0
 """Least time until a training process reports something after a stop request, s."""
 
@@ -73,9 +75,9 @@ class _Running:
 
     job: SessionJob
     training: Training
-    silence: AdaptiveTimeout
-    """Time between two events, except the start of the process and what a notice interrupts, such as the
-    replacement of a worker."""
+    silence: AdaptiveTimeout = field(default_factory=lambda: AdaptiveTimeout(factor=20.0, min_s=_SILENT_S))
+    """Time between two events. It does not count before the first event, nor after a notice, such as that of
+    a replaced worker."""
     heard_at: float = field(default_factory=time.monotonic)
     """Time of its last event, s."""
     is_regular: bool = False
@@ -170,10 +172,7 @@ class Scheduler:
     def _start(self, job: SessionJob, shown: Progress) -> None:
         job.progress.status = "starting"
         try:
-            # Longer than the limit of its workers, which it replaces itself.
-            shortest = 2 * max(MIN_TIMEOUT_S, job.worker_timeout_s)
-            silence = AdaptiveTimeout(factor=20.0, min_s=shortest)
-            self._running[id(job)] = _Running(job, self._start_training(job), silence)
+            self._running[id(job)] = _Running(job, self._start_training(job))
         except RunTakenError as error:
             job.progress.status, job.elsewhere = "elsewhere", error.directories
         except HeadwayError as error:

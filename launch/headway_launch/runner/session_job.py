@@ -46,11 +46,6 @@ class SessionJob:
         return cls(cell, planned, progress)
 
     @property
-    def worker_timeout_s(self) -> float:
-        """Time after which its workers are replaced, if it is set; else 0."""
-        return self.cell.config.backend.worker_timeout_s or 0.0
-
-    @property
     def account(self) -> str:
         """Name of the job's account in the energy meter, a new one per restart: counters begin at 0 again."""
         return f"{id(self)} {len(self.lost_at)}"

@@ -218,7 +218,8 @@ def _with_session_settings(run: StoredRun, experiment: Experiment) -> StoredRun:
     mapping = full_mapping(experiment, ())
     requested, stored = mapping["backend"], run.mapping["backend"]
     interchangeable = {requested["name"], stored["name"]} <= {"process", "ray"}
-    taken = ("parallel", "name", "address", "worker_cpus", "learners") if interchangeable else ("parallel",)
+    taken = ["parallel", "worker_timeout_s"]
+    taken += ["name", "address", "worker_cpus", "learners"] if interchangeable else []
     backend = {**stored, **{key: requested[key] for key in taken}}
     session = {"store": mapping["store"], "energy": mapping["energy"], "backend": backend}
     return replace(run, mapping={**run.mapping, **session})

@@ -3,7 +3,7 @@
 import secrets
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
@@ -16,6 +16,8 @@ from werkzeug.wrappers import Request, Response
 
 from headway.contracts.errors import HeadwayError
 from headway.store.index import RunIndex, RunRow
+from headway.store.query import newest_runs
+from headway.store.run_folder import rules_file
 from headway.store.tracking.sync import local_experiment
 from headway.wording import counted
 from headway_launch.report.elements import formatted
@@ -54,8 +56,8 @@ class Pages:
     def __init__(self, root: Path, has_views: bool) -> None:
         self._root, self._has_views = root, has_views
         self._mlflow = ReadOnlyUI(root)
-        self._reports: dict[str, tuple[Sequence[RunRow], str]] = {}
-        """For each study its report's HTML and the runs that it was made from."""
+        self._reports: dict[str, tuple[object, str]] = {}
+        """For each study its report's HTML, and the runs and rules that it was made from."""
         self._making = Lock()
 
     def __call__(self, environ: "WSGIEnvironment", start_response: "StartResponse") -> Iterable[bytes]:
@@ -93,12 +95,12 @@ class Pages:
 
         with self._making:
             rows = RunIndex(self._root).rows(study)
+            files = {rules_file(self._root, study, row.cell) for row in rows}
+            rules = sorted(file.stat().st_mtime_ns for file in files if file.exists())
             made_from, text = self._reports.get(study, ((), ""))
-            if not rows or rows != made_from:
-                report = report_of(StudyData(self._root, study))
-                made = report.footer.partition(" Beside")[0]
-                text = html(replace(report, footer=f"{made} headway report {study} writes it as files."))
-                self._reports[study] = rows, text
+            if not rows or (rows, rules) != made_from:
+                text = html(report_of(StudyData(self._root, study)))
+                self._reports[study] = (rows, rules), text
             return text
 
 
@@ -127,9 +129,10 @@ def _entry(study: str, rows: Sequence[RunRow], has_views: bool) -> StudyEntry:
 
 
 def _best(rows: Sequence[RunRow]) -> str:
+    """Return mean final reward, algorithm and number of seeds of the best cell; empty without a reward."""
     rewards: dict[str, list[float]] = {}
-    for row in rows:
-        if row.status == "FINISHED" and row.final_reward is not None:
+    for row in newest_runs([row for row in rows if row.status == "FINISHED"]):
+        if row.final_reward is not None:
             rewards.setdefault(row.cell, []).append(row.final_reward)
     if not rewards:
         return ""

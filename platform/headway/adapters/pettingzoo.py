@@ -239,6 +239,8 @@ class ParallelEnvBatch:
             self._read_reset(copy, answer)
         except _MALFORMED as error:
             raise self._malformed("(observations, infos)", error) from error
+        if self._spec.state_size:
+            self._observed.states[copy] = env.state().reshape(-1)
 
     def _read_reset(self, copy: int, answer: tuple[Mapping[str, Any], Infos]) -> None:
         observations, infos = answer
@@ -246,8 +248,6 @@ class ParallelEnvBatch:
         self._update_alive(copy)
         self._read_infos(copy, infos, after_reset=True)
         self._require_observations(observations, self._observed.alive[copy])
-        if self._spec.state_size:
-            self._observed.states[copy] = self._envs[copy].state().reshape(-1)
 
     def _malformed(self, form: str, error: Exception) -> HeadwayError:
         return HeadwayError(
@@ -269,7 +269,11 @@ class ParallelEnvBatch:
         except _MALFORMED as error:
             form = "(observations, rewards, terminations, truncations, infos)"
             raise self._malformed(form, error) from error
-        if self._outcome.episode_ended[copy]:
+        has_ended = self._outcome.episode_ended[copy]
+        if self._spec.state_size:
+            states = self._outcome.final_states if has_ended else self._observed.states
+            states[copy] = self._envs[copy].state().reshape(-1)
+        if has_ended:
             self._begin(copy, self._episodes[copy] + 1)
 
     def _read_step(self, copy: int, live: list[str] | None, answer: StepAnswer) -> None:
@@ -299,8 +303,6 @@ class ParallelEnvBatch:
         self._require_observations(observations, self._observed.alive[copy] | truncated_now)
         if ended:
             self._end_episode(copy, infos)
-        elif self._spec.state_size:
-            self._observed.states[copy] = env.state().reshape(-1)
 
     def _write_observations(self, copy: int, observations: Mapping[str, Any]) -> None:
         rows, agents = self._observed.observations[copy], self._spec.agents
@@ -411,8 +413,6 @@ class ParallelEnvBatch:
     def _end_episode(self, copy: int, infos: Infos) -> None:
         outcome = self._outcome
         outcome.episode_ended[copy] = True
-        if self._spec.state_size:
-            outcome.final_states[copy] = self._envs[copy].state().reshape(-1)
         metrics: Mapping[str, float] | None = next(
             (info["episode_metrics"] for info in infos.values() if info and "episode_metrics" in info), None
         )

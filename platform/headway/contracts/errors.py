@@ -14,7 +14,7 @@ class HeadwayError(Exception):
 
 
 def one_line(error: BaseException) -> str:
-    """Return an error in one line: of a HeadwayError its message, of others type and first line of it."""
+    """Return `TYPE: first line of the message`; a HeadwayError's message unchanged."""
     try:
         text = str(error)
     except Exception:  # of an environment's own class

@@ -101,11 +101,16 @@ def remove_partial(folder: Path, prefix: str) -> None:
 def locked(path: Path, seconds: float, purpose: str) -> Iterator[None]:
     """Hold an exclusive lock among the processes of this machine, on the file `path` (created if missing).
 
-    A lock is released when its process ends. Raises HeadwayError after waiting for `seconds`.
+    A lock is released when its process ends. Raises HeadwayError after waiting for `seconds`, and if the file
+    cannot be written or locked.
     """
     import fcntl  # POSIX only; reading a store works without it
 
-    with path.open("a") as stream:
+    try:
+        stream = path.open("a")
+    except OSError as error:
+        raise _write_error(path, error) from error
+    with stream:
         deadline = time.monotonic() + seconds
         while True:
             try:
@@ -118,6 +123,8 @@ def locked(path: Path, seconds: float, purpose: str) -> Iterator[None]:
                         "end the session that holds the lock, or try again"
                     ) from None
                 time.sleep(0.05)
+            except OSError as error:
+                raise HeadwayError(f"{path} cannot be locked ({error.strerror}): use another disk") from error
         yield
 
 

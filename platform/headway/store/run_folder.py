@@ -195,7 +195,7 @@ def rules_file(root: Path, study: str, cell: str) -> Path:
 
 
 def cell_summary_file(root: Path, study: str, cell: str) -> Path:
-    """Return the path of the JSON file with what belongs to a cell rather than to one of its runs."""
+    """Return the path of the JSON file with rule returns, session energy and status of a cell."""
     return root / _slug(study) / f"{cell}.summary.json"
 
 
@@ -251,15 +251,15 @@ def _slug(name: str) -> str:
 def read_summary(directory: Path) -> dict[str, Any]:
     """Read a run's `summary.json`; empty if it has none yet. Raises HeadwayError if the file is broken.
 
-    Values are texts for `energy.*`, else numbers, with None for what is unknown or cannot be right.
+    Values are texts for `energy.*`, else numbers; None for what is unknown or no number below 1e100.
     """
     path = directory / SUMMARY
     content = read_json(path) if path.exists() else {}
     return {
-        name: str(value) if name.startswith("energy.") else value if _is_figure(value) else None
+        name: str(value) if name.startswith("energy.") else value if _is_plausible(value) else None
         for name, value in content.items()
     }
 
 
-def _is_figure(value: object) -> bool:
+def _is_plausible(value: object) -> bool:
     return isinstance(value, int | float) and abs(value) < _LARGEST

@@ -79,32 +79,36 @@ class SessionStore:
         """Return a lock under which one session at a time looks for runs of others and begins its own."""
         return locked(self.root / ".resume.lock", _LOCK_SECONDS, "runs were begun")
 
-    def resume(self, run_id: str, stacked: bool = False) -> "Run":
-        """Reopen a killed or failed run and prevent its former training process from writing to it.
+    def resume(self, run_ids: Sequence[str]) -> "list[Run]":
+        """Reopen the killed or failed runs of one stack; their former training process can no longer write.
 
-        `stacked`: allow a finished run, because other seeds of its stack may not have finished. Raises
-        HeadwayError if there is no such run, and RunTakenError if it has finished or another session runs it.
+        Some of them, not all, may have finished. Raises HeadwayError if there is no such run, and
+        RunTakenError if another session runs one or all have finished.
         """
-        directory = find_run(self.root, run_id)
+        directories = [find_run(self.root, run_id) for run_id in run_ids]
         with self.claiming():
-            record = RunRecord.read(directory)
+            records = [RunRecord.read(directory) for directory in directories]
             try:
-                record.require_free()
+                for record in records:
+                    record.require_free()
             except HeadwayError as error:
-                raise RunTakenError(str(error), [directory]) from error
-            if record.status == "FINISHED" and not stacked:
-                message = f"run {record.run_id} has finished: there is nothing to resume"
-                raise RunTakenError(message, [directory])
-            record = replace(
-                record,
-                status="RUNNING",
-                ended=None,
-                session=Process.current(),
-                tracking_uri=self.tracking_uri,
-                curve_points=self.curve_points,
-            )
-            gate = open_gate(directory)
-            record.write(directory)
+                raise RunTakenError(str(error), directories) from error
+            if all(record.status == "FINISHED" for record in records):
+                message = f"run {records[0].run_id} has finished: there is nothing to resume"
+                raise RunTakenError(message, directories)
+            return [self._reopen(*run) for run in zip(directories, records, strict=True)]
+
+    def _reopen(self, directory: Path, record: RunRecord) -> "Run":
+        record = replace(
+            record,
+            status="RUNNING",
+            ended=None,
+            session=Process.current(),
+            tracking_uri=self.tracking_uri,
+            curve_points=self.curve_points,
+        )
+        gate = open_gate(directory)
+        record.write(directory)
         return Run(self, directory, record, gate)
 
     def notices(self) -> tuple[str, ...]:
@@ -198,7 +202,7 @@ class Cell:
         write_json(path, stored | {rule: [dict(row) for row in rows] for rule, rows in episodes.items()})
 
     def finish(self, status: Status, metrics: Mapping[str, float] | None = None) -> None:
-        """Store what belongs to the cell rather than to a run, and end its parent run in MLflow.
+        """Store rule returns, session energy and status of the cell, and end its parent run in MLflow.
 
         Metrics of earlier sessions stay, unless `metrics` replaces them. Raises HeadwayError if the summary
         cannot be written.

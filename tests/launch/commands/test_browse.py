@@ -49,7 +49,7 @@ def test_a_study_s_runs_are_one_click_away(start_page: Page, run: RunRow) -> Non
 def test_a_study_s_report_is_one_click_away(start_page: Page) -> None:
     start_page.click("Report")
     start_page.wait_for("Study pair")
-    start_page.wait_for("headway report pair writes it as files")
+    start_page.wait_for("from the store's files alone")
     assert start_page.value("[...document.images].every(image => image.naturalWidth > 100)")
     assert start_page.errors == []
 

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 from urllib.parse import quote
 
 import pytest
-from browse_server import answer, browse_server, cookie_of, free_port
+from browse_server import answer, browse_server, cookie_of
 from command_lines import Refused
+from mlflow_server import free_port
 
 from headway.store.run_folder import now
 from headway.store.tracking.client import Tracker, database_path

@@ -86,3 +86,10 @@ def test_values_that_did_nothing_are_forgotten(
 def test_keys_that_no_algorithm_has_are_kept_and_refused() -> None:
     with pytest.raises(HeadwayError, match=r"algo\.sharpness is not a key of mappo"):
         resolve(upgraded(_stored("mappo", sharpness=3)))
+
+
+def test_the_former_name_of_the_workers_timeout_is_read() -> None:
+    stored = _stored("mappo")
+    del stored["backend"]["worker_timeout_s"]
+    stored["backend"]["patience_s"] = 30.0
+    assert resolve(upgraded(stored)).config.backend.worker_timeout_s == 30.0

@@ -44,9 +44,7 @@ class _Silent(Training):
 
 def _job(seed: int) -> SessionJob:
     progress = JobProgress((seed,), iterations=10, mode="greedy", iteration_steps=64)
-    job = SimpleNamespace(
-        progress=progress, take=progress.take, can_restart=lambda: False, worker_timeout_s=0.0
-    )
+    job = SimpleNamespace(progress=progress, take=progress.take, can_restart=lambda: False)
     return cast(SessionJob, job)
 
 
@@ -88,7 +86,7 @@ def test_a_silent_training_process_is_named_once(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One that is starting is not: how long that takes is not known."""
-    monkeypatch.setattr(scheduler, "MIN_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(scheduler, "_SILENT_S", 0.2)
     silent, starting = _Silent(), _Silent([])
     until = time.monotonic() + 1.5
 

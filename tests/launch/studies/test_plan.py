@@ -254,3 +254,23 @@ def test_a_seed_whose_run_in_another_session_has_failed_is_trained(tmp_path: Pat
     session = StudySession.plan(experiments)
     keep_run(tmp_path, experiments[0], 0, "FAILED")
     assert _trained(session) == ([], [(0, "FAILED"), (0, "FINISHED")])
+
+
+def test_a_stack_of_which_another_session_has_one_seed_waits_for_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The seeds of a stack are trained in one process, so the others are left too, with exit code 2."""
+    first, second = (
+        StudySession.plan(
+            compose_sweep([*BASE, *SMALL, f"store.root={tmp_path}", f"seed={seeds}", "backend.stack=2"])
+        )
+        for seeds in ("0,1", "1,2")
+    )
+    _trained(first)
+    runner = second.open_runner(debug=False)
+    assert runner.run() == 2
+    assert len(runner.left_to_others()) == 1
+    assert "headway: 1 run not started; to continue: headway resume --study toys" in capsys.readouterr().err
+    assert sorted(row.seed for row in RunIndex(tmp_path).rows()) == [0, 1]
+    again = compose_sweep([*BASE, *SMALL, f"store.root={tmp_path}", "seed=1,2", "backend.stack=2"])
+    assert [list(each.new) for each in StudySession.plan(again).progress] == [[2]]

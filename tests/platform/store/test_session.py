@@ -140,7 +140,7 @@ def test_a_resumed_run_sends_each_point_once(root: Path) -> None:
     first.close()
 
     second = SessionStore.open(config)
-    resumed = second.resume(run.run_id)
+    [resumed] = second.resume([run.run_id])
     assert resumed.energy.last() == {"kwh": 0.25}
     RunLog(resumed.directory).rewind(20)
     resumed.note_restart(20)
@@ -156,7 +156,7 @@ def test_a_resumed_run_sends_each_point_once(root: Path) -> None:
     [row] = RunIndex(root).rows()
     assert (row.status, row.iterations, row.final_reward) == ("FINISHED", ITERATIONS, 1.0)
     with pytest.raises(HeadwayError, match="has finished"):
-        second.resume(run.run_id)
+        second.resume([run.run_id])
 
 
 def test_rules_stored_by_earlier_sessions_stay(root: Path) -> None:
@@ -175,9 +175,9 @@ def test_a_running_run_is_not_taken_over(root: Path) -> None:
     store = SessionStore.open(StoreConfig(root=str(root)))
     run = _begin(store)
     with pytest.raises(HeadwayError, match=f"process {os.getpid()}"):
-        store.resume(run.run_id)
+        store.resume([run.run_id])
     with pytest.raises(HeadwayError, match="the nearest is bus-mappo"):
-        store.resume("bus-mapo")
+        store.resume(["bus-mapo"])
     store.close()
 
 
@@ -288,7 +288,7 @@ def test_an_unreadable_run_does_not_block_other_runs(root: Path) -> None:
     second = SessionStore.open(StoreConfig(root=str(root)))
     for run in (broken, whole):
         replace(run.record, status="KILLED").write(run.directory)
-    second.resume(whole.run_id).finish("FINISHED", {"final_reward": 1.0})
+    second.resume([whole.run_id])[0].finish("FINISHED", {"final_reward": 1.0})
     [notice] = second.close()
     assert "curve-000010.parquet cannot be read as Parquet" in notice
     assert "is behind" not in notice
@@ -406,7 +406,7 @@ def test_a_killed_session_leaves_a_run_that_can_be_resumed(root: Path) -> None:
     assert (row.run_id, row.status, row.iterations) == (run_id, "KILLED", 20)
 
     store = SessionStore.open(StoreConfig(root=str(root)))
-    run = store.resume(run_id)
+    [run] = store.resume([run_id])
     RunLog(run.directory).rewind(20)
     _train(run, 21, ITERATIONS)
     run.finish("FINISHED", {})

@@ -143,14 +143,13 @@ def run_worker(setup: Setup, commands: connection.Connection) -> None:
     """Execute commands until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session handles Ctrl-C
     threading.Thread(target=_exit_with_parent, daemon=True).start()
-    server, process_id = CommandServer(setup), os.getpid()
+    server = CommandServer(setup)
     while True:
         try:
             command: Command = commands.recv()
         except (EOFError, OSError):
             return
         answer = server.answer(command)
-        end_if_forked(process_id)
         try:
             commands.send_bytes(answer)
         except OSError:
@@ -163,16 +162,22 @@ class CommandServer:
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
         self.service: Service | None = None
+        self._process_id = os.getpid()
 
     def answer(self, command: Command) -> memoryview:
-        """Execute a command; return a pickled `Done` or `CommandFailed`."""
-        began = time.monotonic()
+        """Execute a command; return a pickled `Done` or `CommandFailed`.
+
+        Does not return in a process that the environment forked off.
+        """
         try:
             self.service = self.service or self.setup.open()
+            began = time.monotonic()
             done = self.service.execute(command)
+            end_if_forked(self._process_id)
             # Pickled inside the try block: a snapshot that cannot be pickled becomes an answer too.
             return reduction.ForkingPickler.dumps(replace(done, seconds=time.monotonic() - began))
         except BaseException as error:  # an environment may also call sys.exit
+            end_if_forked(self._process_id)
             is_user_error = isinstance(error, HeadwayError)
             failed = CommandFailed(one_line(error), traceback.format_exc(), is_user_error)
             return reduction.ForkingPickler.dumps(failed)

@@ -88,6 +88,8 @@ class _Worker:
     link: WorkerConnection
     begun: bool = False
     """Its episodes have started."""
+    has_answered: bool = False
+    """It, or a worker before it, has executed a command."""
     snapshot: Any = None
     """State after the last command other than an evaluation."""
     usage: Usage = field(default_factory=Usage)
@@ -117,6 +119,7 @@ class _Worker:
     def update(self, command: Command, done: Done) -> None:
         """Update the state from the answer to a command."""
         self.raise_cpu_seconds(done.usage.cpu_seconds)
+        self.has_answered = True
         self.usage = replace(done.usage, cpu_seconds=self.usage.cpu_seconds)
         if not isinstance(command, Evaluate):
             self.begun, self.snapshot = True, done.snapshot
@@ -199,6 +202,8 @@ class WorkerPool:
         """
         if worker.command is None or type(worker.command) not in self.timeouts:
             return inf
+        if not worker.has_answered and not worker.failures:
+            return inf  # it makes its environments first
         return self.timeouts[type(worker.command)].limit_s * (2.0 if worker.failures else 1.0)
 
     def _notice_in_s(self, shard: int) -> float:

@@ -1,16 +1,20 @@
-"""What belongs to a cell rather than to one of its runs, stored beside them and sent to its MLflow run."""
+"""Rule returns, session energy and status of a cell: stored beside its runs and sent to its MLflow run."""
 
 import math
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
+from headway.config.experiment import without_password
 from headway.config.schema import build
 from headway.contracts import HeadwayError
-from headway.store.atomic_files import read_json, write_json
+from headway.store.atomic_files import locked, read_json, write_json
 from headway.store.run_folder import Process, Status, cell_summary_file
 from headway.store.tracking.client import Tracker
+
+_LOCK_SECONDS = 30.0
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,7 @@ class CellSummary:
     metrics: Mapping[str, float] = field(default_factory=dict)
     """Mean returns of the rules, and the energy of the last session that trained the cell."""
     sent: tuple[str, ...] = ()
-    """URIs of the MLflow servers and databases that have it."""
+    """URIs, without passwords, of the MLflow servers and databases that have it."""
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -41,9 +45,14 @@ class CellSummary:
     def keep(self, root: Path) -> None:
         """Write the file, keeping the metrics that it holds already. Raises HeadwayError if that fails."""
         path = cell_summary_file(root, self.study, self.cell)
-        known = CellSummary.read(path).metrics if path.exists() else {}
         finite = {name: value for name, value in self.metrics.items() if math.isfinite(value)}
-        write_json(path, asdict(replace(self, metrics={**known, **finite})))
+        with _locked(root):
+            known = CellSummary.read(path).metrics if path.exists() else {}
+            write_json(path, asdict(replace(self, metrics={**known, **finite})))
+
+    def is_sent(self, uri: str) -> bool:
+        """Return whether the MLflow at a tracking URI has it."""
+        return without_password(uri) in self.sent
 
 
 def send_cell(root: Path, tracker: Tracker, study: str, cell: str, status: Status | None = None) -> None:
@@ -55,7 +64,15 @@ def send_cell(root: Path, tracker: Tracker, study: str, cell: str, status: Statu
     summary = CellSummary.read(path)
     _, parent = tracker.cell(study, cell, summary.parameters, {}, running=False)
     tracker.finish(parent, status or summary.status, summary.ended, summary.metrics, ())
-    write_json(path, asdict(replace(summary, sent=tuple({*summary.sent, tracker.uri}))))
+    with _locked(root):
+        now = CellSummary.read(path)
+        if replace(now, sent=()) == replace(summary, sent=()):  # no other session has changed it meanwhile
+            sent = sorted({*now.sent, without_password(tracker.uri)})
+            write_json(path, asdict(replace(now, sent=tuple(sent))))
+
+
+def _locked(root: Path) -> AbstractContextManager[None]:
+    return locked(root / ".cells.lock", _LOCK_SECONDS, "the summary of a cell was written")
 
 
 def ended_cells(root: Path) -> tuple[list[CellSummary], list[str]]:

@@ -181,7 +181,7 @@ def _missing_cells(
 ) -> list[tuple[str, str]]:
     """Return (study, cell) of the summaries that MLflow lacks."""
     uri = tracking_uri or database_uri(root)
-    return [(cell.study, cell.cell) for cell in cells if uri not in cell.sent]
+    return [(cell.study, cell.cell) for cell in cells if not cell.is_sent(uri)]
 
 
 def _missing(root: Path, tracking_uri: str | None, runs: Iterable[tuple[Path, RunRecord]]) -> list[Path]:
@@ -231,15 +231,17 @@ def _end_cells(root: Path, tracker: Tracker, places: Collection[tuple[str, str]]
     for (study, cell), runs in cells.items():
         newest = {run.seed: run for run in sorted(runs, key=lambda run: run.started)}.values()
         statuses = {run.settled_status for run in newest}
-        if not newest or "RUNNING" in statuses:
+        if "RUNNING" in statuses:
             continue
         if cell_summary_file(root, study, cell).exists():
             try:
-                send_cell(root, tracker, study, cell, status_of_all(statuses))
+                send_cell(root, tracker, study, cell, status_of_all(statuses) if newest else None)
             except TrackingError:
                 raise
             except HeadwayError as error:
                 unreadable.append(str(error))
+            continue
+        if not newest:
             continue
         [*_, last] = newest
         _, parent = tracker.cell(last.study, last.cell, last.parameters, {}, running=False)

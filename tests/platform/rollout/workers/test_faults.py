@@ -98,9 +98,9 @@ def test_a_worker_that_hangs_in_mid_iteration_does_not_change_the_data(
     tmp_path: Path, undisturbed: list[Taken], fault: Fault
 ) -> None:
     """Either `step` does not return, or the process is suspended."""
-    assert_same(undisturbed, _taken(_plan(tmp_path, fault), notices := [], worker_timeout_s=2.0))
+    assert_same(undisturbed, _taken(_plan(tmp_path, fault), notices := [], worker_timeout_s=5.0))
     [notice] = notices
-    assert "failed (no answer for 2 s while stepping faulty in iteration 2; if it is only slow" in notice
+    assert "failed (no answer for 5 s while stepping faulty in iteration 2; if it is only slow" in notice
     assert "set a higher backend.worker_timeout_s); replaced, repeating" in notice
 
 

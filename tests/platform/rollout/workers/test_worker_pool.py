@@ -1,5 +1,6 @@
 """A worker pool counts failures of workers and losses of their machines separately."""
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -8,10 +9,12 @@ from typing import Any
 import pytest
 
 from headway.events import Usage
-from headway.rollout.workers.worker import Begin, Collect, Command, Done
+from headway.rollout.episodes import EvaluationRequest
+from headway.rollout.workers.worker import Begin, Collect, Command, Done, Evaluate
 from headway.rollout.workers.worker_pool import WorkerFailedError, WorkerPool
 
 DONE = Done([], [], None, Usage())
+EVALUATION = Evaluate(EvaluationRequest(1, 0, 1, True), 0, 1)
 LOST, DEATH = "its machine cannot be reached", "killed by signal 9"
 
 
@@ -91,6 +94,18 @@ def test_a_limit_follows_the_time_that_workers_needed_not_when_their_answers_wer
         worker.sent_at = time.monotonic() - 1000
     pool.all([Collect(1)] * 2)
     assert pool.timeouts[Collect].limit_s == 80.0
+
+
+def test_a_worker_has_no_limit_until_it_has_made_its_environments() -> None:
+    """An evaluator makes them at its first command. A replacement has one: otherwise it could hang."""
+    pool = WorkerPool(_Scripted(iter([DONE])), 1, print, timeout_s=2.0)
+    [worker] = pool.workers
+    for failures, limit in ((0, math.inf), (1, 4.0)):
+        worker.command, worker.failures = EVALUATION, failures
+        assert pool._limit_s(worker) == limit
+    worker.failures = 0
+    pool.all([EVALUATION])
+    assert pool._limit_s(worker) == 2.0
 
 
 def test_of_no_workers_none_has_answered() -> None:

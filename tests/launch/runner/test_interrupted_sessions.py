@@ -1,4 +1,4 @@
-"""Readers who go away while a session runs, and training processes that die in the middle of a word."""
+"""Sessions whose output nobody reads, and training processes that die in the middle of an event."""
 
 import os
 import subprocess
