@@ -26,7 +26,7 @@ from tests.robustness.outcomes import FAILURES, Ended, Outcome, Scale, Tally, ou
 from tests.robustness.overrides import shell_line, without_training
 from tests.support.raw_feeds import SUNDAY, WEEKDAY, records, write_gtfs, write_raw
 
-SECONDS = 90.0
+SECONDS = 180.0
 """Bound of one command."""
 _SMALL_RUNS = (
     "run", "env=tracking", "algo=ippo", "seed=0,1", "study=small", "energy=off", "backend=serial",

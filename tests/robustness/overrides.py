@@ -22,7 +22,7 @@ from tests.robustness.forked import run_forked
 from tests.robustness.outcomes import FAILURES, Ended, Outcome, Scale, Tally, outcome_of, signature_of
 
 Words = tuple[str, ...]
-SECONDS = 60.0
+SECONDS = 120.0
 """Bound of one command line."""
 _PACE = Pace(start_s=1, evaluation_s=1, iteration_s=1, cpu_start_s=1, cpu_iteration_s=1, iterations=2)
 
