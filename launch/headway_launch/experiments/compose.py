@@ -387,9 +387,25 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[
         if deleted:
             others = [override for override in overrides if override not in deleted]
             _require_set(deleted, _compose_mapping(others)[0])
+        _require_grammar(overrides)
         raise HeadwayError(_one_line(error)) from error
     assert isinstance(mapping, dict)
     return {str(key): value for key, value in mapping.items()}, chosen
+
+
+def _require_grammar(overrides: Sequence[str]) -> None:
+    """Raise HeadwayError for the first override that Hydra's grammar does not allow."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+
+    for override in overrides:
+        try:
+            OverridesParser.create().parse_override(override)
+        except HydraException as error:
+            raise HeadwayError(
+                f"{override.removeprefix('++')} is not valid in Hydra's grammar; close brackets and quotes, "
+                "and quote text with special characters (in a shell, in two pairs): \"study='a: b'\""
+            ) from error
 
 
 def _require_set(deleted: Sequence[str], mapping: Mapping[str, Any]) -> None:

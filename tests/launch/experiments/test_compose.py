@@ -180,6 +180,8 @@ def test_a_key_of_an_earlier_version_is_named_with_its_replacement() -> None:
         ("+=3", ["'+=3' is not an override"]),
         ("+++algo.lr=3", ["'+++algo.lr=3' is not an override"]),
         ("bus_mappo", ["write key=value", "did you mean experiment=bus_mappo?"]),
+        ("algo.lr=[1,2", ["algo.lr=[1,2 is not valid in Hydra's grammar; close brackets"]),
+        ("study='a", ["study='a is not valid in Hydra's grammar"]),
         ("algo.lr=${nowhere}", ["the configuration cannot be composed", "nowhere"]),
         ("env.training_args.stpes=3", ["env.training_args.stpes is not a key", "did you mean"]),
         ("device=gpu", ["device", "cuda"]),
