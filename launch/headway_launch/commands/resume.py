@@ -89,14 +89,14 @@ def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
 def _cells_of_study(
     root: Path, study: str, named: Sequence["StoredRun"]
 ) -> tuple[list["CellPlan"], list[Path]]:
-    """Return the cells left to train, and the folders of runs that other sessions are training.
+    """Return the cells left to train, and the folders of other runs that are being trained.
 
     The cells are those of the study's sweeps, of its unfinished runs outside sweeps, and of the `named` runs.
     """
     from headway.store.index import RunIndex
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.plan import StudyProgress, cell_labels, kept_plans, plan_cells
-    from headway_launch.studies.session import held_elsewhere, print_progress
+    from headway_launch.studies.session import print_progress
 
     everything = RunIndex(root).rows()
     rows = [row for row in everything if row.study == study]
@@ -122,6 +122,6 @@ def _cells_of_study(
     cells = [*plan_cells(standings), *_cells_of(list(others.values()))]
     labels = cell_labels([cell.experiment for cell in cells])
     labelled = [replace(cell, label=label) for cell, label in zip(cells, labels, strict=True)]
-    left = held_elsewhere(standings)
-    left += [Path(row.directory) for row in rows if row.status == "RUNNING" and row.run_id not in covered]
-    return labelled, left
+    return labelled, [
+        Path(row.directory) for row in rows if row.status == "RUNNING" and row.run_id not in covered
+    ]

@@ -100,6 +100,8 @@ class CellPlan:
     known_runs: frozenset[str] | None = None
     """Identities of all runs of its seeds when it was planned: seeds for which another session has begun a
     run since are left to that session. None: all seeds are trained."""
+    elsewhere: tuple[Path, ...] = ()
+    """Folders of runs of its seeds that other sessions were training when it was planned."""
 
 
 def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:

@@ -4,6 +4,7 @@ import shlex
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from headway_launch.experiments.parameters import session_settings
 from headway_launch.runner.cell import Rules, SessionCell
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
 from headway_launch.runner.jobs import CellPlan, require_free_disk
-from headway_launch.runner.results import print_cells, print_results, seed_result
+from headway_launch.runner.results import print_cells, print_results, seed_result, stored_result
 from headway_launch.runner.scheduler import Scheduler
 from headway_launch.runner.session_energy import SessionEnergy
 from headway_launch.runner.session_job import SessionJob
@@ -66,6 +67,7 @@ class Runner:
         try:
             stopped = scheduler.run()
             self._store_unstarted(stopped)
+            self._add_results_of_others()
             played: dict[str, Rules] = {}
             rules_from = time.thread_time()
             for cell in self._cells if not stopped else ():
@@ -94,8 +96,20 @@ class Runner:
         ]
 
     def left_to_others(self) -> list[Path]:
-        """Return the folders of runs that other sessions began while this one ran."""
-        return [folder for job in self._jobs for folder in job.elsewhere]
+        """Return the folders of runs that other sessions train, or trained without finishing them."""
+        results = {result.directory for cell in self._cells for result in cell.results.values()}
+        return [folder for _, folder in self._of_others() if str(folder) not in results]
+
+    def _of_others(self) -> list[tuple[SessionCell, Path]]:
+        planned = [(cell, folder) for cell in self._cells for folder in cell.plan.elsewhere]
+        return planned + [(job.cell, folder) for job in self._jobs for folder in job.elsewhere]
+
+    def _add_results_of_others(self) -> None:
+        for cell, folder in self._of_others():
+            with suppress(HeadwayError):  # damaged
+                result = stored_result(folder)
+                if result.status == "FINISHED":
+                    cell.results[result.run_id] = result
 
     def _start(self, job: SessionJob) -> Training:
         """Create or reopen the runs of a job and start its training process."""
@@ -214,7 +228,7 @@ class Runner:
 def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False) -> tuple[int, list[Path]]:
     """Run cells in groups of equal session settings, one group after another.
 
-    Returns the worst exit code and the folders of runs that other sessions began meanwhile.
+    Returns the worst exit code and the folders of runs that are left to other sessions.
     """
     sessions: dict[str, list[CellPlan]] = {}
     for cell in cells:

@@ -89,7 +89,8 @@ class StudyProgress:
             self._require_same_units(self.experiment.prepare(known).spec)
             jobs += new_jobs(self.experiment, self.new, known)
         finished = tuple(run.directory for run in self.finished)
-        return CellPlan(self.experiment, tuple(jobs), finished, label, self.run_ids)
+        elsewhere = tuple(run.directory for run in self.elsewhere)
+        return CellPlan(self.experiment, tuple(jobs), finished, label, self.run_ids, elsewhere)
 
     def _require_same_units(self, spec: EnvSpec) -> None:
         """Raise HeadwayError if seeds to train would act in other units than seeds of an earlier version."""

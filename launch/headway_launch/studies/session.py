@@ -55,8 +55,7 @@ class StudySession:
 
     def require_all_ended(self, runner: Runner) -> None:
         """Raise HeadwayError if runs left to other sessions have not finished."""
-        left = [*held_elsewhere(self.progress), *runner.left_to_others()]
-        require_all_ended(self.experiments[0].config.study, left)
+        require_all_ended(self.experiments[0].config.study, runner.left_to_others())
 
 
 def print_progress(study: str, progress: Sequence[StudyProgress]) -> None:
@@ -70,11 +69,6 @@ def print_progress(study: str, progress: Sequence[StudyProgress]) -> None:
     if any(counts[kind] for kind in list(counts)[:3]):
         parts = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
         print_line(f"headway: {counted(sum(counts.values()), 'run')} of study {study}: {parts}")
-
-
-def held_elsewhere(progress: Sequence[StudyProgress]) -> list[Path]:
-    """Return the folders of runs that other sessions are training."""
-    return [run.directory for each in progress for run in each.elsewhere]
 
 
 def require_all_ended(study: str, left: Sequence[Path]) -> None:

@@ -15,6 +15,7 @@ from urllib.parse import quote
 from werkzeug.wrappers import Request, Response
 
 from headway.contracts.errors import HeadwayError
+from headway.store.cell_names import cell_names
 from headway.store.index import RunIndex, RunRow
 from headway.store.query import newest_runs
 from headway.store.run_folder import rules_file
@@ -120,7 +121,7 @@ def _entry(study: str, rows: Sequence[RunRow], has_views: bool) -> StudyEntry:
     return StudyEntry(
         name=study,
         runs=", ".join(f"{count:,} {status}" for status, count in counts.most_common()),
-        best=_best(rows) if len(environments) == 1 else "",
+        best=_best(rows),
         environments=environments[0] if len(environments) == 1 else counted(len(environments), "environment"),
         started=rows[-1].started[:16].replace("T", " "),
         report=f"{_REPORT}{quote(study, safe='')}" if counts["finished"] else "",
@@ -129,12 +130,15 @@ def _entry(study: str, rows: Sequence[RunRow], has_views: bool) -> StudyEntry:
 
 
 def _best(rows: Sequence[RunRow]) -> str:
-    """Return mean final reward, algorithm and number of seeds of the best cell; empty without a reward."""
+    """Return mean final reward, algorithm and number of seeds of the best cell.
+
+    Empty without a reward, and if the cells are on several environments or settings of one.
+    """
+    finished = [row for row in rows if row.status == "FINISHED" and row.final_reward is not None]
     rewards: dict[str, list[float]] = {}
-    for row in newest_runs([row for row in rows if row.status == "FINISHED"]):
-        if row.final_reward is not None:
-            rewards.setdefault(row.cell, []).append(row.final_reward)
-    if not rewards:
+    for row in newest_runs(finished):
+        rewards.setdefault(row.cell, []).append(row.final_reward or 0.0)
+    if len({name.task for name in cell_names(finished).values()}) != 1:
         return ""
     best = max(rewards, key=lambda cell: mean(rewards[cell]))
     algorithm = next(row.algorithm for row in rows if row.cell == best)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from werkzeug.test import Client
@@ -42,6 +43,21 @@ def test_the_study_with_the_newest_run_is_first(monkeypatch: pytest.MonkeyPatch,
     assert (new.name, new.environments, new.runs) == ("new/one", "2 environments", "1 failed, 1 running")
     assert (new.report, new.best) == ("", "")
     assert (old.name, old.runs, old.report) == ("old", "1 finished, 1 killed", "/report/old")
+
+
+def test_no_cell_is_best_of_several_environments(monkeypatch: pytest.MonkeyPatch, trained: Path) -> None:
+    """Nor of several settings of one: their returns are not on one scale."""
+    names = {
+        key: SimpleNamespace(task=f"tracking, env.args.steps={steps}")
+        for key, steps in (("short", 8), ("long", 50))
+    }
+    monkeypatch.setattr(pages, "cell_names", lambda rows: {row.cell: names[row.cell] for row in rows})
+    first, last = RunIndex(trained).rows()
+    rows = [replace(first, cell="short", final_reward=-9.0), replace(last, cell="long", final_reward=-150.0)]
+    monkeypatch.setattr(RunIndex, "rows", lambda index: rows)
+    assert study_entries(trained)[0].best == ""
+    rows[1] = replace(rows[1], cell="short")
+    assert study_entries(trained)[0].best == "-79.50 (ippo, 2 seeds)"
 
 
 def test_a_report_is_made_again_only_when_the_runs_have_changed(
