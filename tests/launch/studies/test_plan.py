@@ -271,7 +271,7 @@ def test_a_stack_of_which_another_session_has_one_seed_waits_for_it(
     runner = second.open_runner(debug=False)
     assert runner.run() == 2
     assert runner.left_to_others() == []
-    assert "headway: 1 run not started; to continue: headway resume --study toys" in capsys.readouterr().err
+    assert "headway: 1 run not started; to continue: " in capsys.readouterr().err
     assert sorted(row.seed for row in RunIndex(tmp_path).rows()) == [0, 1]
     again = compose_sweep([*BASE, *SMALL, f"store.root={tmp_path}", "seed=1,2", "backend.stack=2"])
     assert [list(each.new) for each in StudySession.plan(again).progress] == [[2]]
