@@ -84,6 +84,10 @@ def _read(path: Path) -> "pa.Table":
 
     require_regular(path)
     try:
-        return pq.ParquetFile(path).read()
+        samples = pq.ParquetFile(path).read()
     except (OSError, pa.ArrowException) as error:
         raise HeadwayError(f"{path} cannot be read as Parquet: remove it to use the rest") from error
+    for column in samples.schema:
+        if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
+            raise HeadwayError(f"{path} has text in column {column.name}: remove it to use the rest")
+    return samples

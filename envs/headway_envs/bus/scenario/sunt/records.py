@@ -214,6 +214,8 @@ def _parquet(file: Path, columns: tuple[str, ...]) -> pd.DataFrame:
     """Read columns of a Parquet file. Raises HeadwayError if it is unreadable or lacks a column."""
     from pyarrow import parquet
 
+    if not file.is_file():
+        raise HeadwayError(f"{file} is not a regular file; remove it")
     try:
         there = set(parquet.read_schema(file).names)
     except (OSError, ValueError) as error:
