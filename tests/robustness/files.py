@@ -68,7 +68,7 @@ class Material:
 
 def build_materials(folder: Path) -> list[Material]:
     """Write all materials, and check that each command accepts them undamaged."""
-    folder.mkdir()
+    folder.mkdir(parents=True)
     materials = [_scenario(folder / "scenario"), _gtfs(folder / "gtfs"), _zipped(folder / "zipped")]
     materials += [_sunt(folder / "sunt"), *_stores(folder / "store")]
     with patch("headway_launch.studies.dry_run.calibrate", without_training):
