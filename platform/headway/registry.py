@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from headway.config.schema import suggestion
 from headway.contracts.entries import AlgoEntry, EnvEntry
-from headway.contracts.errors import HeadwayError
+from headway.contracts.errors import HeadwayError, one_line
 from headway.contracts.random_rule import RANDOM
 from headway.contracts.wrapper import WrapperEntry
 
@@ -125,7 +125,7 @@ def _load(
             added: Any = point.load()
         except Exception as error:
             raise HeadwayError(
-                f"{point.value} of package {origin} cannot be loaded ({type(error).__name__}: {error}); "
+                f"{point.value} of package {origin} cannot be loaded ({one_line(error)}); "
                 "fix or uninstall that package"
             ) from error
         if not isinstance(added, Mapping) or not all(isinstance(entry, kind) for entry in added.values()):

@@ -124,7 +124,7 @@ def _stores(folder: Path) -> list[Material]:
         ("compare", "small", "--episodes", "2"), ("diff", name, intact.name), ("sync",),
         ("sweep", *_SMALL_RUNS[1:], "--dry-run"),
     )  # fmt: skip
-    # As its session would have left it if it had been killed after the third iteration.
+    # The store as a session leaves it that is killed after the third iteration.
     stopped = folder.with_name("stopped")
     shutil.copytree(folder, stopped)
     of_stopped = stopped / damaged.relative_to(folder)

@@ -228,7 +228,7 @@ def _print_notes(results: Sequence[SeedResult]) -> None:
 
 
 def _print_unchanged(results: Sequence[SeedResult], modes: Sequence[str]) -> None:
-    """Print which seeds' policies returned the same in every evaluation, that before training included."""
+    """Print which seeds had the same return in every evaluation, with one before training among them."""
     from headway.store.parquet_log import read_curve
 
     unchanged = []
@@ -237,12 +237,13 @@ def _print_unchanged(results: Sequence[SeedResult], modes: Sequence[str]) -> Non
             with suppress(HeadwayError):  # a damaged log hides no result
                 curves = [read_curve(Path(result.directory), f"evaluation_{mode}/return") for mode in modes]
                 first, *others = (list(curve.values()) for curve in curves)
-                if len(first) > 1 and len(set(first)) == 1:
+                if 0 in curves[0] and len(first) > 1 and len(set(first)) == 1:
                     unchanged.append((result.seed, first[0], others))
     for seed, value, others in unchanged[:_MAX_UNCHANGED]:
         changes = [
             f"; {mode} return from {values[0]:.4g} to {values[-1]:.4g}"
             for mode, values in zip(modes[1:], others, strict=True)
+            if values
         ]
         print_line(
             f"seed {seed}: the {modes[0]} return was {value:.4g} in every evaluation, also before training"

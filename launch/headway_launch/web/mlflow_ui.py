@@ -73,9 +73,8 @@ def _mlflow_application(root: Path) -> "WSGIApplication":
     # MLflow's server reads these when it is imported.
     os.environ["_MLFLOW_SERVER_FILE_STORE"] = read_only_uri(database_path(root))
     os.environ["_MLFLOW_STATIC_PREFIX"] = PREFIX
-    os.environ.pop(
-        "MLFLOW_DEPLOYMENTS_TARGET", None
-    )  # the gateway-proxy then answers that there is no gateway
+    # Without it, the gateway-proxy answers that there is no gateway.
+    os.environ.pop("MLFLOW_DEPLOYMENTS_TARGET", None)
     warnings.filterwarnings("ignore", module=r"mlflow\.")  # it imports deprecated modules of its libraries
     from mlflow.server import app
 
@@ -95,7 +94,7 @@ def _confine_artifacts(root: Path) -> None:
         if not path.resolve().is_relative_to(root):
             raise MlflowException(f"{path} is outside the store", error_code=PERMISSION_DENIED)
 
-    class StoreArtifacts(LocalArtifactRepository):  # type: ignore[misc]
+    class StoreArtifacts(LocalArtifactRepository):  # type: ignore[misc] # MLflow comes without types
         def get_local_path(self, artifact_path: str) -> str:
             path = str(super().get_local_path(artifact_path))
             require_inside(Path(path))

@@ -16,6 +16,7 @@ from urllib.parse import unquote, urlparse
 
 from headway.config.schema import suggestion
 from headway.contracts import HeadwayError
+from headway.contracts.errors import one_line
 
 _PATH = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)+")
 _ON_PETTINGZOO = re.compile(r"pettingzoo\b", re.IGNORECASE)
@@ -53,9 +54,7 @@ def _modules_in(package: str) -> list[str]:
     try:
         spec = importlib.util.find_spec(package)
     except Exception as error:  # the package's own code
-        raise HeadwayError(
-            f"env.id: package {package} cannot be imported: {type(error).__name__}: {error}"
-        ) from error
+        raise HeadwayError(f"env.id: package {package} cannot be imported: {one_line(error)}") from error
     places = (spec.submodule_search_locations or []) if spec else []
     return [module.name for module in pkgutil.iter_modules(places) if not module.name.startswith("_")]
 

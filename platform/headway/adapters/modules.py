@@ -22,6 +22,7 @@ from headway.adapters.installed import require_environment_module
 from headway.adapters.pettingzoo import NO_OPTIONS, AdapterOptions, ParallelEnvBatch
 from headway.config.signatures import argument_record, as_tuples, takes_any_arguments
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, RandomRule
+from headway.contracts.errors import one_line
 
 _PROBE_STEPS, _PROBE_SECONDS = 100, 2.0
 _NUMBERED = re.compile(r"(.+?)_?\d+")
@@ -50,9 +51,7 @@ class ModuleEnv:
                 env = factory(**self.arguments)
         except Exception as error:  # the environment's own code
             given = ", ".join(f"{key}={value}" for key, value in self.arguments.items()) or "its defaults"
-            raise HeadwayError(
-                f"{self.module} cannot be made with {given}: {type(error).__name__}: {error}"
-            ) from error
+            raise HeadwayError(f"{self.module} cannot be made with {given}: {one_line(error)}") from error
         return _parallel(self.module, env)
 
 
@@ -144,7 +143,7 @@ def _imported(name: str) -> ModuleType:
             f"env.id={name} needs the package {error.name}, which is not installed: pip install {error.name}"
         ) from error
     except Exception as error:  # the module's own code
-        raise HeadwayError(f"env.id={name} cannot be imported: {type(error).__name__}: {error}") from error
+        raise HeadwayError(f"env.id={name} cannot be imported: {one_line(error)}") from error
 
 
 def _factory(name: str, module: ModuleType) -> Callable[..., Any]:

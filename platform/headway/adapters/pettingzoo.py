@@ -31,6 +31,7 @@ from headway.contracts import (
     StepResult,
     child_seeds,
 )
+from headway.contracts.errors import one_line
 from headway.contracts.spaces import allows_action
 
 Infos = Mapping[str, Mapping[str, Any]]
@@ -252,7 +253,7 @@ class ParallelEnvBatch:
     def _malformed(self, form: str, error: Exception) -> HeadwayError:
         return HeadwayError(
             f"environment '{self._spec.name}' gave an answer at step {self._steps} that cannot be read "
-            f"({type(error).__name__}: {error}); return {form}, each a dictionary by agent, and list the "
+            f"({one_line(error)}); return {form}, each a dictionary by agent, and list the "
             "live agents in `agents`"
         )
 

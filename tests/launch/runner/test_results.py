@@ -18,12 +18,13 @@ from headway_launch.runner.results import SeedResult, _print_unchanged
         ),
         ([89.9, 89.9, 90.0], ""),
         ([89.9], ""),
+        ([float("nan"), 89.9, 89.9], ""),
     ],
 )
 def test_a_policy_whose_greedy_actions_have_not_changed_is_named(
     tmp_path: Path, greedy: list[float], line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Such a run looks dead although the probabilities of its actions change."""
+    """Name a run that looks dead although training changes the probabilities of its actions."""
     log, sampled = RunLog(tmp_path), [-5.0, 0.0, 7.0]
     for iteration, values in enumerate(zip(greedy, sampled, strict=False)):
         returns = dict(zip(("evaluation_greedy/return", "evaluation_sampled/return"), values, strict=True))

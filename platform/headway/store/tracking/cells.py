@@ -11,7 +11,7 @@ from headway.config.experiment import without_password
 from headway.config.schema import build
 from headway.contracts import HeadwayError
 from headway.store.atomic_files import locked, read_json, write_json
-from headway.store.run_folder import Process, Status, cell_summary_file
+from headway.store.run_folder import Process, Status, cell_summary_file, milliseconds
 from headway.store.tracking.client import Tracker
 
 _LOCK_SECONDS = 30.0
@@ -38,9 +38,11 @@ class CellSummary:
     def read(cls, path: Path) -> Self:
         """Read a summary file. Raises HeadwayError if it is broken."""
         try:
-            return build(cls, read_json(path))
-        except HeadwayError as error:
+            summary = build(cls, read_json(path))
+            milliseconds(summary.ended)
+        except (HeadwayError, ValueError, OverflowError) as error:
             raise HeadwayError(f"{path} is not the summary of a cell ({error}): remove it") from error
+        return summary
 
     def keep(self, root: Path) -> None:
         """Write the file, keeping the metrics that it holds already. Raises HeadwayError if that fails."""

@@ -7,6 +7,7 @@ from typing import cast
 import pytest
 
 from headway.contracts import HeadwayError
+from headway.store.atomic_files import read_json, write_json
 from headway.store.run_folder import Process, cell_summary_file, now
 from headway.store.tracking.cells import CellSummary, send_cell
 from headway.store.tracking.client import Tracker
@@ -50,3 +51,13 @@ def test_what_another_session_stores_meanwhile_is_kept_and_not_taken_as_sent(
 def test_a_store_that_cannot_be_locked_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(HeadwayError, match=r"cannot write .*\.cells\.lock \(No such file or directory\)"):
         _summary({}).keep(tmp_path / "absent")
+
+
+@pytest.mark.parametrize("change", [{"ended": "yesterday"}, {"metrics": {"kwh": "much"}}, {"status": "DONE"}])
+def test_a_damaged_summary_is_named(tmp_path: Path, change: dict[str, object]) -> None:
+    path = cell_summary_file(tmp_path, "study", "cell")
+    path.parent.mkdir()
+    _summary({"own": 1.0}).keep(tmp_path)
+    write_json(path, read_json(path) | change)
+    with pytest.raises(HeadwayError, match=r"summary\.json is not the summary of a cell \(.*\): remove it"):
+        CellSummary.read(path)
