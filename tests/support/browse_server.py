@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from urllib.parse import urlsplit
 
 from mlflow_server import free_port
@@ -15,19 +16,26 @@ from mlflow_server import free_port
 
 @contextmanager
 def browse_server(store: Path) -> Iterator[str]:
-    """Serve a store and yield the address that the command printed; check that Ctrl-C ends it."""
+    """Serve a store and yield the address that the command printed.
+
+    Checks that Ctrl-C ends it and that it writes nothing to the current folder.
+    """
     command = [sys.executable, "-m", "headway_launch", "browse", "--port", str(free_port())]
     command += ["--store", str(store)]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
-    try:
-        assert server.stdout is not None
-        yield server.stdout.readline().strip()
-        server.send_signal(signal.SIGINT)
-        assert server.wait(30) == 0
-    finally:
-        if server.poll() is None:
-            os.killpg(server.pid, signal.SIGKILL)
-            server.wait()
+    with TemporaryDirectory() as current:
+        server = subprocess.Popen(
+            command, stdout=subprocess.PIPE, text=True, start_new_session=True, cwd=current
+        )
+        try:
+            assert server.stdout is not None
+            yield server.stdout.readline().strip()
+            server.send_signal(signal.SIGINT)
+            assert server.wait(30) == 0
+        finally:
+            if server.poll() is None:
+                os.killpg(server.pid, signal.SIGKILL)
+                server.wait()
+        assert not list(Path(current).iterdir())
 
 
 def answer(

@@ -77,7 +77,10 @@ def _mlflow_application(root: Path) -> "WSGIApplication":
     os.environ.pop("MLFLOW_DEPLOYMENTS_TARGET", None)
     warnings.filterwarnings("ignore", module=r"mlflow\.")  # it imports deprecated modules of its libraries
     from mlflow.server import app
+    from mlflow.store.db import utils
 
+    # MLflow would make a folder "file:..." below the current one: it takes the URI of SQLite for a path.
+    utils._make_parent_dirs_if_sqlite = lambda _: None
     _confine_artifacts(root)
     application: WSGIApplication = app
     return application

@@ -7,6 +7,7 @@ every committed row, and a resumed run removes the segments newer than its check
 import numbers
 import re
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, get_args
 
@@ -90,7 +91,8 @@ def read(
     They are sorted by `iteration` (if that column exists), then in the order written; without rows the frame
     is empty. `columns`: columns to read, if they exist; None: all. Columns are float64, int64 (float64 if
     some rows lack the column) or string, and may differ between segments. Raises HeadwayError if a segment
-    cannot be read, and if a column is text in one and numbers in another.
+    cannot be read, if a column is text in one and numbers in another, and if a curve's `env_steps` do not
+    increase.
     """
     import pandas as pd
 
@@ -103,13 +105,15 @@ def read(
         raise HeadwayError(f"{directory}, table {table}: {error}; remove the damaged segment") from error
     if "iteration" in frame.columns:
         frame = frame.sort_values("iteration", kind="stable", ignore_index=True)
+    if table == "curve" and "env_steps" in frame.columns:
+        _require_increasing(frame["env_steps"], directory)
     return frame
 
 
 def read_rows(directory: Path, table: Table, after: int = -1) -> list[dict[str, float | int | str]]:
     """Return the rows that `read` returns as mappings without missing values, without importing pandas.
 
-    Raises HeadwayError if a segment cannot be read.
+    Raises HeadwayError if a segment cannot be read, and if a curve's `env_steps` do not increase.
     """
     tables = _tables(directory, table, after)
     rows = [
@@ -117,7 +121,10 @@ def read_rows(directory: Path, table: Table, after: int = -1) -> list[dict[str, 
         for content in tables
         for row in content.to_pylist()
     ]
-    return sorted(rows, key=lambda row: row.get("iteration", 0))
+    rows.sort(key=lambda row: row.get("iteration", 0))
+    if table == "curve":
+        _require_increasing([row["env_steps"] for row in rows if "env_steps" in row], directory)
+    return rows
 
 
 def read_curve(directory: Path, metric: str) -> dict[int, float]:
@@ -146,6 +153,14 @@ def _tables(
         except (OSError, pa.ArrowException) as error:
             raise HeadwayError(f"{path} cannot be read as Parquet: remove it to use the rest") from error
     return tables
+
+
+def _require_increasing(env_steps: Iterable[Any], directory: Path) -> None:
+    if not all(earlier < later for earlier, later in pairwise(env_steps)):
+        raise HeadwayError(
+            f"{directory}: the env_steps of its curve do not increase from row to row: a file "
+            "curve-*.parquet is damaged; remove it to use the rest"
+        )
 
 
 def _segments(directory: Path, table: Table | None = None) -> list[tuple[str, int, Path]]:

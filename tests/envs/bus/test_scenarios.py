@@ -203,6 +203,10 @@ def test_faults_of_folders_are_named(tables: Tables, tmp_path: Path) -> None:
     (tmp_path / "meta.json").unlink()
     with pytest.raises(HeadwayError, match=r"meta\.json is missing"):
         read_tables(tmp_path)
+    (tmp_path / "meta.json").mkdir()
+    with pytest.raises(HeadwayError, match=r"meta\.json cannot be read"):
+        read_tables(tmp_path)
+    (tmp_path / "meta.json").rmdir()
     for meta, line in (("{", "is not valid JSON"), ("[]", "holds no JSON object")):
         (tmp_path / "meta.json").write_text(meta)
         with pytest.raises(HeadwayError, match=f"meta.json {line}"):

@@ -54,6 +54,15 @@ def test_an_integer_column_may_become_floats_later(tmp_path: Path) -> None:
     assert list(parquet_log.read(tmp_path, "curve")["x"]) == [3.0, 0.25]
 
 
+def test_a_curve_with_a_point_twice_is_refused(tmp_path: Path) -> None:
+    run = RunLog(tmp_path)
+    run.append("curve", [{"iteration": 1, "env_steps": 64, "x": 0.5}] * 2)
+    run.commit(1)
+    for read in (parquet_log.read, parquet_log.read_rows):
+        with pytest.raises(HeadwayError, match="env_steps of its curve do not increase"):
+            read(tmp_path, "curve")
+
+
 def test_a_second_commit_of_an_iteration_extends_it(tmp_path: Path) -> None:
     run = RunLog(tmp_path)
     for value in (1.0, 2.0):

@@ -138,6 +138,8 @@ def read_tables(folder: str | Path) -> Tables:
         raise HeadwayError(
             f"{meta_path} is missing; it states the source of the tables: write one, at least {{}}"
         ) from error
+    except OSError as error:
+        raise HeadwayError(f"{meta_path} cannot be read ({error.strerror}): replace it") from error
     except ValueError as error:
         raise HeadwayError(f"{meta_path} is not valid JSON: {error}; correct it") from error
     if not isinstance(meta, dict):

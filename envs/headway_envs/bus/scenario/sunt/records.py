@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -29,6 +29,8 @@ ALIGHTINGS_MISSING = 0.9
 are expanded (until April 2024)."""
 UNPHYSICAL_LOAD = 150.0
 """Largest plausible load of a bus, passengers."""
+MOST_CALLS = 10_000
+"""Largest plausible number of a call within a trip."""
 TRIP_KEYS = ("vehicle", "trip_id", "start_trip")
 """Columns that identify a trip of a day."""
 _COLUMNS = (
@@ -93,31 +95,30 @@ def find_days(raw: Path) -> dict[dt.date, Path]:
 def read_day(file: Path, date: dt.date, counted: Counter[str]) -> Day:
     """Read, correct and check the trip records of one day.
 
-    Raises HeadwayError for missing columns and for files without a usable trip.
+    Raises HeadwayError for missing columns, values of a wrong type, and files without a usable trip.
     """
     frame = _parquet(file, _COLUMNS)
     frame = frame.astype(dict.fromkeys(("route_short_name", "direction_id", "vehicle", "trip_id"), "str"))
-    midnight = pd.Timestamp(date)
-    # Some files store times as text.
-    time = (pd.to_datetime(frame["stop_time"]) - midnight).dt.total_seconds()
+    sequence = _numbers(file, frame["pt_sequence"])
+    _refuse_first(file, frame["pt_sequence"], ~sequence.between(0, MOST_CALLS), "the number of a call")
     calls = pd.DataFrame(
         {
             "line": frame["route_short_name"],
             "reg": frame["register_code"].astype(str),
             "dir": frame["direction_id"],
-            "seq": frame["pt_sequence"].astype(np.int64),
+            "seq": sequence.astype(np.int64),
             "stop_id": frame["stop_id"].astype(str),
             "trip": frame.groupby(list(TRIP_KEYS), sort=False).ngroup(),
             "vehicle": frame["vehicle"],
-            "time": time,
-            "board": frame["n-boardings"].astype(np.float64),
-            "alight": frame["n-alighting"].astype(np.float64),
-            "load_before": frame["lag_loading"].astype(np.float64),
+            "time": _seconds_of_day(file, frame["stop_time"], date),
+            "board": _numbers(file, frame["n-boardings"]),
+            "alight": _numbers(file, frame["n-alighting"]),
+            "load_before": _numbers(file, frame["lag_loading"]),
         }
     )
     blank = calls["time"].isna()
     counted["calls without a time, left out"] += int(blank.sum())
-    loads = frame["loading"].to_numpy(np.float64)
+    loads = _numbers(file, frame["loading"])
     counted["loads below 0, not used"] += int((loads < 0).sum())
     counted[f"loads above {UNPHYSICAL_LOAD:g}, not used"] += int((loads > UNPHYSICAL_LOAD).sum())
     impossible = ~calls["load_before"].between(0.0, UNPHYSICAL_LOAD)
@@ -169,13 +170,14 @@ def read_node_boardings(raw: Path, counted: Counter[str]) -> dict[DayType, pd.Da
         day, month, year = (int(part) for part in match.groups())
         date = dt.date(year, month, day)
         frame = _parquet(file, ("time", "node", "sobe", "carregamento"))
-        counted["loads below 0 at stops, not used"] += int((frame["carregamento"] < 0).sum())
-        hours = (pd.to_datetime(frame["time"]) - pd.Timestamp(date)).dt.total_seconds() // 3600
+        counted["loads below 0 at stops, not used"] += int((_numbers(file, frame["carregamento"]) < 0).sum())
+        seconds = _seconds_of_day(file, frame["time"], date)
+        _refuse_first(file, frame["time"], seconds.isna(), "a time")
         counts = pd.DataFrame(
             {
                 "stop_id": frame["node"].astype(str),
-                "hour": hours.astype(np.int64),
-                "board": frame["sobe"].fillna(0.0).clip(lower=0.0),
+                "hour": (seconds // 3600).astype(np.int64),
+                "board": _numbers(file, frame["sobe"]).fillna(0.0).clip(lower=0.0),
             }
         )
         parts.setdefault(day_type(date), []).append(counts)
@@ -196,18 +198,51 @@ def read_places(raw: Path) -> pd.DataFrame:
     """
     sequences = sorted(raw.rglob("gtfs_bus_topique*.parquet"))
     nodes = sorted(raw.rglob("node_temporal_features_*.parquet"))[:1]
-    parts = [_parquet(file, ("stop_id", "lat", "lon")) for file in sequences]
-    parts += [_parquet(file, ("node", "lat", "lon")).rename(columns={"node": "stop_id"}) for file in nodes]
+    parts = [(file, _parquet(file, ("stop_id", "lat", "lon"))) for file in sequences]
+    parts += [
+        (file, _parquet(file, ("node", "lat", "lon")).rename(columns={"node": "stop_id"})) for file in nodes
+    ]
     for file in sorted(raw.rglob("stops.txt")):
         text = pd.read_csv(file, dtype=str).rename(columns={"stop_lat": "lat", "stop_lon": "lon"})
-        parts.append(text.reindex(columns=["stop_id", "lat", "lon"]))
+        parts.append((file, text.reindex(columns=["stop_id", "lat", "lon"])))
     if not parts:
         raise HeadwayError(
             f"RAW: there is no gtfs_bus_topique*.parquet with coordinates of stops below {raw}; put it there"
         )
-    places = pd.concat(parts, ignore_index=True).astype({"stop_id": "str", "lat": float, "lon": float})
+    read = [
+        part.assign(**{name: _numbers(file, part[name]) for name in ("lat", "lon")}) for file, part in parts
+    ]
+    places = pd.concat(read, ignore_index=True).astype({"stop_id": "str"})
     usable = places["lat"].between(-90, 90) & places["lon"].between(-180, 180)
     return places[usable].drop_duplicates("stop_id").set_index("stop_id")
+
+
+def _numbers(file: Path, values: "pd.Series[Any]") -> "pd.Series[float]":
+    """Return a column as float64, NaN where blank. Raises HeadwayError naming the first other value."""
+    found = pd.to_numeric(values, errors="coerce").astype(np.float64)
+    _refuse_first(file, values, found.isna() & values.notna(), "a number")
+    return found
+
+
+def _seconds_of_day(file: Path, values: "pd.Series[Any]", date: dt.date) -> "pd.Series[float]":
+    """Return times, possibly texts, as seconds after midnight of `date`, NaN where blank.
+
+    Raises HeadwayError naming the first other value.
+    """
+    texts = values if pd.api.types.is_datetime64_any_dtype(values) else values.astype("str")
+    found = pd.to_datetime(texts, errors="coerce", format="ISO8601", utc=True).dt.tz_localize(None)
+    _refuse_first(file, values, found.isna() & values.notna(), "a time")
+    return (found - pd.Timestamp(date)).dt.total_seconds()
+
+
+def _refuse_first(file: Path, values: "pd.Series[Any]", wrong: "pd.Series[bool]", what: str) -> None:
+    """Raise HeadwayError naming the first row where `wrong`, if any."""
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise HeadwayError(
+            f"{file.name}, row {row}, {values.name}: '{values.iloc[row]}' is not {what}; correct it, fetch "
+            "the file again, or leave it out"
+        )
 
 
 def _parquet(file: Path, columns: tuple[str, ...]) -> pd.DataFrame:

@@ -160,6 +160,37 @@ def test_wrong_folders_are_one_line(tmp_path: Path) -> None:
         imported(raw)
 
 
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("loading", "99999:00:00", "'99999:00:00' is not a number"),
+        ("n-boardings", "three", "'three' is not a number"),
+        ("stop_time", "1e308", "'1e308' is not a time"),
+        ("pt_sequence", float("nan"), "'nan' is not the number of a call"),
+        ("pt_sequence", 1e308, "is not the number of a call"),
+    ],
+)
+def test_a_value_of_a_wrong_type_is_named_with_its_row(
+    column: str, value: float | str, message: str, tmp_path: Path
+) -> None:
+    day = records(SUNDAY)
+    values = [str(each) for each in day[column]] if isinstance(value, str) else list(day[column])
+    values[7] = value
+    raw = write_raw(tmp_path, {SUNDAY: day.assign(**{column: values})})
+    with pytest.raises(HeadwayError, match=rf"od-2024-09-15\.parquet, row 7, {column}: .*{message}"):
+        imported(raw)
+
+
+@pytest.mark.parametrize(("column", "value"), [("time", "1e308"), ("sobe", "some"), ("lat", "north")])
+def test_a_wrong_value_among_counts_by_stop_is_named(column: str, value: str, tmp_path: Path) -> None:
+    raw = write_raw(tmp_path, {SUNDAY: records(SUNDAY, board=0.0)})
+    file = raw / "node_temporal_features_04-03-2024.parquet"
+    counts = pd.read_parquet(file)
+    counts.assign(**{column: [value, *counts[column].astype(str)[1:]]}).to_parquet(file)
+    with pytest.raises(HeadwayError, match=rf"{file.name}, row 0, {column}: '{value}' is not a"):
+        imported(raw)
+
+
 @pytest.mark.data
 def test_the_real_files_give_the_numbers_of_the_prepared_extract() -> None:
     raw, ready = SHARED / "sunt_raw", SHARED / "sunt" / "line1"
