@@ -1,7 +1,9 @@
 # Headway. `make` lists what there is; every target sets up the virtual environment first if there is none.
 
 VENV ?= .venv
-PYTHON ?= $(shell command -v python3.11 || command -v python3)
+SUPPORTED = import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
+PYTHON ?= $(shell for each in python3.11 python3.12 python3.13 python3; do \
+	$$each -c '$(SUPPORTED)' 2>/dev/null && command -v $$each && break; done)
 CONFIG ?= bus_mappo
 SEEDS ?= 0..9
 ARGS ?=
@@ -34,16 +36,16 @@ help: ## list the targets
 setup: $(COMPILED) ## make the virtual environment .venv, with the versions in constraints.txt, and compile the kernels
 
 $(STAMP): pyproject.toml constraints.txt
-	@test -n "$(PYTHON)" || { echo "make: no python3 found; install Python 3.11" >&2; exit 1; }
-	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
-		{ echo "make: $(PYTHON) is not Python 3.11; give one: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@test -n "$(PYTHON)" && "$(PYTHON)" -c '$(SUPPORTED)' 2>/dev/null || \
+		{ echo "make: Python 3.11, 3.12 or 3.13 is needed; give one: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.13" >&2; exit 1; }
 	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
-	@$(BIN)/python -m pip install --quiet -c constraints.txt --upgrade pip # Python 3.11's own takes twice as long
+	@$(BIN)/python -m pip install --quiet -c constraints.txt --upgrade pip # Python's own takes twice as long
 	@echo "installing packages and compiling kernels, once"
 	@# The kernels need two packages only: they compile on one core while pip installs the rest on another.
 	@$(PIP_INSTALL) numba pyyaml
 	@$(PIP_INSTALL) --no-deps -e .
 	@$(WARM_UP) & $(PIP_INSTALL) -e ".[dev,sumo]"; installed=$$?; wait $$! && exit $$installed
+	@$(PIP_INSTALL) --no-deps supersuit # where its tinyscaler has no wheel: all but resize_v1 work without
 	@touch $@
 
 $(COMPILED): $(STAMP) $(KERNELS)

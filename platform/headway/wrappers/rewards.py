@@ -20,6 +20,7 @@ from headway.contracts import (
     StepResult,
 )
 from headway.contracts.checks import require, require_finite
+from headway.wrappers.supersuit_module import imported_supersuit
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,6 @@ def batched_scale_reward(arguments: ScaleReward, bounds: ObservationBounds) -> B
 
 def scale_reward(env: Any, arguments: ScaleReward) -> Any:  # noqa: ANN401 - PettingZoo comes without types
     """Return a ParallelEnv with every reward rounded to float32, as in batches, and multiplied by `scale`."""
-    import supersuit
-
-    return supersuit.reward_lambda_v0(env, lambda reward: float(np.float32(reward)) * arguments.scale)
+    return imported_supersuit().reward_lambda_v0(
+        env, lambda reward: float(np.float32(reward)) * arguments.scale
+    )

@@ -1,11 +1,15 @@
-"""Every wrapper of SuperSuit that YAML can name, with its arguments."""
+"""Every wrapper of SuperSuit that YAML can name, with its arguments.
+
+Without SuperSuit, whose dependency tinyscaler has no wheels for Python 3.13 and newer, the wrappers remain
+that Headway implements itself. Only resize_v1 needs tinyscaler: SuperSuit can be installed without it.
+"""
 
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 from typing import Any
 
 from headway.config.signatures import argument_record, as_tuples
-from headway.contracts import WrapperEntry
+from headway.contracts import HeadwayError, WrapperEntry
 from headway.wrappers.frame_stack import FrameStack, batched_frame_stack
 from headway.wrappers.observations import (
     AgentIndicator,
@@ -24,6 +28,7 @@ from headway.wrappers.rewards import (
     batched_scale_reward,
     scale_reward,
 )
+from headway.wrappers.supersuit_module import imported_supersuit
 
 _SUMMARIES = {
     "agent_indicator_v0": "append the agent to its observation, one-hot",
@@ -62,13 +67,20 @@ _BATCHED: Mapping[str, Batched] = {
     "normalize_obs_v0": (NormalizeObs, batched_normalize_obs),
 }
 """Argument record and batched form of the wrappers that have one."""
+_OWN: Mapping[str, type] = {"black_death_v3": NoArguments}
+"""Argument records of wrappers around a ParallelEnv that are Headway's own."""
 _NOT_FROM_YAML = ("_lambda_v", "vec_env_v", "vec_envs_v", "vectorize_")
 
 
 def supersuit_names() -> tuple[str, ...]:
-    """Return every versioned name of SuperSuit, including those that YAML cannot use."""
-    import supersuit
+    """Return every versioned name of SuperSuit, including those that YAML cannot use.
 
+    Without SuperSuit, return those that YAML can use.
+    """
+    try:
+        supersuit = imported_supersuit()
+    except HeadwayError:
+        return tuple(name for name in _SUMMARIES if name != "scale_reward_v0")
     # Not by `hasattr`: SuperSuit's `__getattr__` raises ImportError for unknown names.
     return tuple(sorted(name for name in vars(supersuit) if name.rpartition("_v")[2].isdigit()))
 
@@ -82,6 +94,11 @@ def why_not(name: str) -> str | None:
         )
     if any(part in name for part in _NOT_FROM_YAML):
         return "it makes a vector of environments for other libraries; rollout.copies does that here"
+    if name not in _BATCHED and name not in _OWN:
+        try:
+            imported_supersuit()
+        except HeadwayError as error:
+            return str(error)
     return None
 
 
@@ -96,7 +113,7 @@ def supersuit_entries() -> Mapping[str, WrapperEntry]:
 
 
 def _entry(name: str) -> WrapperEntry:
-    record, batched = _BATCHED.get(name, (None, None))
+    record, batched = _BATCHED.get(name, (_OWN.get(name), None))
     if record is None:
         record = argument_record("Arguments", _signature_source(name), first=1)
     return WrapperEntry(
@@ -115,9 +132,7 @@ def _signature_source(name: str) -> Callable[..., Any]:
 
     Some of SuperSuit's names choose between an AEC and a parallel class; they take any arguments themselves.
     """
-    import supersuit
-
-    wrapper = vars(supersuit)[name]
+    wrapper = vars(imported_supersuit())[name]
     found: Callable[..., Any] = (
         getattr(wrapper, "parallel_wrapper", None) or getattr(wrapper, "aec_wrapper", None) or wrapper
     )
@@ -133,7 +148,5 @@ def _wrap(name: str, env: Any, arguments: Any) -> Any:  # noqa: ANN401 - Petting
         from headway.wrappers.copied_observations import CopiedObservations
 
         env = CopiedObservations(env)
-    import supersuit
-
     given = {key: as_tuples(value) for key, value in vars(arguments).items()}
-    return vars(supersuit)[name](env, **given)
+    return vars(imported_supersuit())[name](env, **given)

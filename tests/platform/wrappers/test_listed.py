@@ -1,5 +1,6 @@
 """The list of wrappers: names, arguments, one-line errors."""
 
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -13,7 +14,7 @@ from headway.config.signatures import argument_record
 from headway.contracts import HeadwayError
 from headway.registry import wrapper_entries
 from headway.wrappers.listed import listed_wrappers
-from headway.wrappers.supersuit import supersuit_names, why_not
+from headway.wrappers.supersuit import supersuit_entries, supersuit_names, why_not
 from headway_envs.registry import ENTRIES
 
 
@@ -69,6 +70,36 @@ def test_arguments_and_defaults_are_supersuits(name: str) -> None:
     function = getattr(wrapper, "parallel_wrapper", None) or getattr(wrapper, "aec_wrapper", None) or wrapper
     theirs = argument_record("Theirs", function, first=1)
     assert _defaults(wrapper_entries()[name].config) == _defaults(theirs)
+
+
+@pytest.fixture
+def without_supersuit(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    for cached in (wrapper_entries, supersuit_entries):
+        cached.cache_clear()
+    monkeypatch.setitem(sys.modules, "supersuit", None)
+    yield
+    for cached in (wrapper_entries, supersuit_entries):
+        cached.cache_clear()
+
+
+@pytest.mark.usefixtures("without_supersuit")
+def test_without_supersuit_headways_own_wrappers_remain() -> None:
+    """A Python for which its dependency tinyscaler has no wheel: 3.13."""
+    assert set(wrapper_entries()) == {
+        *("agent_indicator_v0", "black_death_v3", "clip_reward_v0", "dtype_v0", "flatten_v0"),
+        *("frame_stack_v1", "frame_stack_v2", "normalize_obs_v0", "scale_reward_v0"),
+    }
+    stacked = prepared("matrix", ENTRIES["matrix"], [{"name": "frame_stack_v1", "stack_size": 3}])
+    assert (
+        stacked.batch(1).spec.observation_size
+        == 3 * prepared("matrix", ENTRIES["matrix"], []).batch(1).spec.observation_size
+    )
+    with pytest.raises(
+        HeadwayError, match=r"wrappers\[0\]: pad_observations_v0 cannot be used: SuperSuit is "
+    ):
+        listed_wrappers(["pad_observations_v0"])
+    with pytest.raises(HeadwayError, match="pip install --no-deps supersuit"):
+        prepared("matrix", ENTRIES["matrix"], ["clip_reward_v0", "black_death_v3"])
 
 
 def _defaults(record: type) -> dict[str, object]:

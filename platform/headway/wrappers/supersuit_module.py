@@ -1,0 +1,14 @@
+"""The module `supersuit`, which may be missing: see `headway.wrappers.supersuit`."""
+
+from typing import Any
+
+from headway.contracts import HeadwayError
+
+
+def imported_supersuit() -> Any:  # noqa: ANN401 - it comes without types
+    """Return the module. Raises HeadwayError that says how to install it."""
+    try:
+        import supersuit
+    except ModuleNotFoundError as error:
+        raise HeadwayError("SuperSuit is not installed: pip install --no-deps supersuit") from error
+    return supersuit
