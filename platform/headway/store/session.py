@@ -82,8 +82,8 @@ class SessionStore:
     def resume(self, run_ids: Sequence[str]) -> "list[Run]":
         """Reopen the killed or failed runs of one stack; their former training process can no longer write.
 
-        Some of them, not all, may have finished. Raises HeadwayError if there is no such run, and
-        RunTakenError if another session runs one or all have finished.
+        Some of them, not all, may have finished: they keep their end and summary. Raises HeadwayError if
+        there is no such run, and RunTakenError if another session runs one or all have finished.
         """
         directories = [find_run(self.root, run_id) for run_id in run_ids]
         with self.claiming():
@@ -99,6 +99,8 @@ class SessionStore:
             return [self._reopen(*run) for run in zip(directories, records, strict=True)]
 
     def _reopen(self, directory: Path, record: RunRecord) -> "Run":
+        if record.status == "FINISHED":
+            return Run(self, directory, record, open_gate(directory))
         record = replace(
             record,
             status="RUNNING",
@@ -273,10 +275,13 @@ class Run:
     def finish(self, status: Status, summary: Mapping[str, float | int | str | None]) -> None:
         """End the run after its training process: close its gate, then write summary, views and status.
 
-        `summary`: `final_reward`, `auc`, `kwh`, `kg_co2`, ...; None: unknown. Raises HeadwayError if the
+        `summary`: `final_reward`, `auc`, `kwh`, `kg_co2`, ...; None: unknown. A run that an earlier session
+        finished keeps its summary, which MLflow has and could only append to. Raises HeadwayError if the
         files cannot be written or the log cannot be read.
         """
         close_gates(self.directory)
+        if self.record.status == "FINISHED":
+            return
         self.energy.write()
         write_json(self.directory / SUMMARY, summary)
         write_views(self.directory, self.run_id)

@@ -159,6 +159,25 @@ def test_a_resumed_run_sends_each_point_once(root: Path) -> None:
         second.resume([run.run_id])
 
 
+def test_a_finished_run_of_a_killed_stack_keeps_its_summary(root: Path) -> None:
+    """The session died between the ends of the stack's two runs, and the rest is resumed with both."""
+    config = StoreConfig(root=str(root))
+    first = SessionStore.open(config)
+    runs = [_begin(first, seed) for seed in (0, 1)]
+    for run in runs:
+        _train(run, 0, ITERATIONS)
+    runs[0].finish("FINISHED", {"cpu_seconds": 7.0})
+    runs[1].finish("KILLED", {"cpu_seconds": 7.0})
+    first.close()
+
+    second = SessionStore.open(config)
+    for run in second.resume([run.run_id for run in runs]):
+        run.finish("FINISHED", {"cpu_seconds": 8.0})
+    assert second.close() == ()
+    assert [_histories(root, run)["summary/cpu_seconds"] for run in runs] == [[(0, 7.0)], [(0, 8.0)]]
+    assert [row.cpu_seconds for row in RunIndex(root).rows()] == [7.0, 8.0]
+
+
 def test_rules_stored_by_earlier_sessions_stay(root: Path) -> None:
     store = SessionStore.open(StoreConfig(root=str(root)))
     cell = Cell(store, "study one", "bus", "mappo", {})
