@@ -124,9 +124,10 @@ def _line_of(mapping: Mapping[str, Any], seeds: str) -> str:
 
 def _reason(run: RunRow) -> str:
     """Return the last line of a failed run's traceback."""
+    path = Path(run.directory) / TRACEBACK
     try:
-        lines = (Path(run.directory) / TRACEBACK).read_text(encoding="utf-8").strip().splitlines()
-    except OSError:
+        lines = path.read_text(encoding="utf-8").strip().splitlines() if path.is_file() else []
+    except (OSError, UnicodeDecodeError):
         return "no traceback stored"
     return lines[-1] if lines else "no traceback stored"
 

@@ -1,5 +1,6 @@
 """Scenario format: written scenarios can be read back, and every fault is named."""
 
+import os
 import pickle
 import re
 import subprocess
@@ -203,10 +204,10 @@ def test_faults_of_folders_are_named(tables: Tables, tmp_path: Path) -> None:
     (tmp_path / "meta.json").unlink()
     with pytest.raises(HeadwayError, match=r"meta\.json is missing"):
         read_tables(tmp_path)
-    (tmp_path / "meta.json").mkdir()
-    with pytest.raises(HeadwayError, match=r"meta\.json cannot be read"):
+    os.mkfifo(tmp_path / "meta.json")
+    with pytest.raises(HeadwayError, match=r"meta\.json is missing or no regular file"):
         read_tables(tmp_path)
-    (tmp_path / "meta.json").rmdir()
+    (tmp_path / "meta.json").unlink()
     for meta, line in (("{", "is not valid JSON"), ("[]", "holds no JSON object")):
         (tmp_path / "meta.json").write_text(meta)
         with pytest.raises(HeadwayError, match=f"meta.json {line}"):

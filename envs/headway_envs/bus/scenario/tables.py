@@ -132,12 +132,13 @@ def read_tables(folder: str | Path) -> Tables:
                 )
             ) from error
     meta_path = folder / "meta.json"
+    if not meta_path.is_file():  # a pipe would be waited for
+        raise HeadwayError(
+            f"{meta_path} is missing or no regular file; it states the source of the tables: write one, at "
+            "least {}"
+        )
     try:
         meta = json.loads(meta_path.read_text())
-    except FileNotFoundError as error:
-        raise HeadwayError(
-            f"{meta_path} is missing; it states the source of the tables: write one, at least {{}}"
-        ) from error
     except OSError as error:
         raise HeadwayError(f"{meta_path} cannot be read ({error.strerror}): replace it") from error
     except ValueError as error:
