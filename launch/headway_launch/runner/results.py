@@ -185,7 +185,9 @@ def print_results(
     _print_unchanged(results, config.evaluation.modes)
     if rules:
         print()
-        print_comparison(str(config.algo["name"]), _final_episodes(config, results), rules)
+        print_comparison(
+            str(config.algo["name"]), _final_episodes(config.evaluation.modes[0], results), rules
+        )
 
 
 def print_cells(
@@ -287,24 +289,26 @@ def _estimated(results: Sequence[SeedResult]) -> bool:
     return any(result.energy_modes.get("energy.cpu", "").startswith("est") for result in results)
 
 
-def _final_episodes(config: ExperimentConfig, results: Sequence[SeedResult]) -> list[list[Row]]:
-    """Return the last evaluation of each finished seed in the first mode, seeds x episodes.
+def _final_episodes(mode: str, results: Sequence[SeedResult]) -> list[list[Row]]:
+    """Return the last evaluation of each finished seed in a mode, seeds x episodes.
 
-    Episodes are ordered by episode seed.
+    Episodes are ordered by episode seed. Raises HeadwayError if a seed has none, because its log is damaged.
     """
     from headway.store.parquet_log import read_rows
 
-    mode = config.evaluation.modes[0]
-    finished = [result for result in results if result.status == "FINISHED"]
-    played = [
-        [
-            row
-            for row in read_rows(Path(result.directory), "evaluation")
-            if row.get("mode") == mode and row.get("final")
-        ]
-        for result in finished
-    ]
-    return [sorted(rows, key=lambda row: int(row.get("episode_seed", 0))) for rows in played]
+    played = []
+    for result in results:
+        if result.status != "FINISHED":
+            continue
+        rows = read_rows(Path(result.directory), "evaluation")
+        last = [row for row in rows if row["mode"] == mode and row.get("final")]
+        if not last:
+            raise HeadwayError(
+                f"{result.directory}: there are no {mode} episodes of the last evaluation: a file "
+                "evaluation-*.parquet is damaged or missing; train this seed again to compare it"
+            )
+        played.append(sorted(last, key=lambda row: int(row["episode_seed"])))
+    return played
 
 
 def _summary_rows(rows: Sequence[tuple[Value, ...]]) -> list[tuple[Value, ...]]:

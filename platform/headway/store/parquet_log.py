@@ -6,7 +6,7 @@ every committed row, and a resumed run removes the segments newer than its check
 
 import numbers
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, get_args
@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 
 Table = Literal["curve", "episodes", "evaluation"]
 TABLES: tuple[Table, ...] = get_args(Table)
+REQUIRED: Mapping[Table, tuple[str, ...]] = {
+    "curve": ("iteration", "env_steps"),
+    "episodes": ("iteration", "env_steps", "copy"),
+    "evaluation": ("iteration", "env_steps", "mode", "episode_seed"),
+}
+"""Columns of every row."""
 _SEGMENT = re.compile(r"(?P<table>[a-z]+)-(?P<iteration>\d{6,})\.parquet")
 
 
@@ -152,6 +158,9 @@ def _tables(
             continue  # removed by a rewind since the folder was listed
         except (OSError, pa.ArrowException) as error:
             raise HeadwayError(f"{path} cannot be read as Parquet: remove it to use the rest") from error
+        for column in REQUIRED[table]:
+            if column not in segment.schema_arrow.names:
+                raise HeadwayError(f"{path} lacks column {column}: remove it to use the rest")
     return tables
 
 

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from headway.contracts import HeadwayError
 from headway.store.parquet_log import RunLog
-from headway_launch.runner.results import SeedResult, _print_unchanged
+from headway_launch.runner.results import SeedResult, _final_episodes, _print_unchanged
 
 
 @pytest.mark.parametrize(
@@ -33,3 +34,17 @@ def test_a_policy_whose_greedy_actions_have_not_changed_is_named(
     result = SeedResult(3, "FINISHED", "run-3", str(tmp_path), 89.9, None, 20, None, {}, {})
     _print_unchanged([result], ("greedy", "sampled"))
     assert capsys.readouterr().err == line
+
+
+def test_a_finished_seed_without_last_episodes_is_named(tmp_path: Path) -> None:
+    """A damaged log: its rows are of a mode that does not exist."""
+    log = RunLog(tmp_path)
+    log.append(
+        "evaluation", [{"iteration": 1, "env_steps": 8, "mode": "1e308", "final": 1, "episode_seed": 0}]
+    )
+    log.commit(1)
+    result = SeedResult(3, "FINISHED", "run-3", str(tmp_path), 89.9, None, 20, None, {}, {})
+    with pytest.raises(
+        HeadwayError, match=f"^{tmp_path}: there are no greedy episodes of the last evaluation"
+    ):
+        _final_episodes("greedy", [result])

@@ -21,7 +21,7 @@ TAKEN_OVER = "another training process has taken over"
 
 def _filled(directory: Path, iteration: int, gate: Path | None = None) -> RunLog:
     log = RunLog(directory, gate)
-    log.append("curve", [{"iteration": iteration, "reward": 0.5}])
+    log.append("curve", [{"iteration": iteration, "env_steps": iteration, "reward": 0.5}])
     log.commit(iteration)
     return log
 
@@ -48,7 +48,7 @@ def test_files_are_the_same_with_and_without_a_gate(tmp_path: Path) -> None:
 def test_a_former_writer_cannot_add_replace_or_remove_files(tmp_path: Path) -> None:
     before = open_gate(tmp_path)
     log = _filled(tmp_path, 2, before)
-    log.append("curve", [{"iteration": 4, "reward": 1.0}])
+    log.append("curve", [{"iteration": 4, "env_steps": 4, "reward": 1.0}])
     after = open_gate(tmp_path)
     _filled(tmp_path, 4, after)
     save_checkpoint(tmp_path / "checkpoints", 4, {"iteration": 4})

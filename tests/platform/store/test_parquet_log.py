@@ -32,9 +32,10 @@ def test_rows_are_visible_after_commit_only(tmp_path: Path) -> None:
 
 def test_columns_have_three_types_and_may_differ_between_segments(tmp_path: Path) -> None:
     run = RunLog(tmp_path)
-    run.append("evaluation", [{"iteration": 2, "mode": "greedy", "return": float(np.float32(1.5))}])
+    of_all = {"env_steps": 10, "episode_seed": 0}
+    run.append("evaluation", [{"iteration": 2, **of_all, "mode": "greedy", "return": float(np.float32(1.5))}])
     run.commit(2)
-    sampled: dict[str, Any] = {"iteration": np.int64(1), "mode": "sampled", "length": np.int32(7)}
+    sampled: dict[str, Any] = {"iteration": np.int64(1), **of_all, "mode": "sampled", "length": np.int32(7)}
     run.append("evaluation", [sampled])
     run.commit(4)
     frame = parquet_log.read(tmp_path, "evaluation")
@@ -49,7 +50,7 @@ def test_columns_have_three_types_and_may_differ_between_segments(tmp_path: Path
 def test_an_integer_column_may_become_floats_later(tmp_path: Path) -> None:
     run = RunLog(tmp_path)
     for iteration, value in ((1, 3), (2, 0.25)):
-        run.append("curve", [{"iteration": iteration, "x": value}])
+        run.append("curve", [{"iteration": iteration, "env_steps": iteration, "x": value}])
         run.commit(iteration)
     assert list(parquet_log.read(tmp_path, "curve")["x"]) == [3.0, 0.25]
 
@@ -66,7 +67,7 @@ def test_a_curve_with_a_point_twice_is_refused(tmp_path: Path) -> None:
 def test_a_second_commit_of_an_iteration_extends_it(tmp_path: Path) -> None:
     run = RunLog(tmp_path)
     for value in (1.0, 2.0):
-        run.append("curve", [{"iteration": 5, "x": value}])
+        run.append("curve", [{"iteration": 5, "env_steps": int(value), "x": value}])
         run.commit(5)
     assert list(parquet_log.read(tmp_path, "curve")["x"]) == [1.0, 2.0]
     assert len(list(tmp_path.glob("curve-*.parquet"))) == 1
@@ -75,9 +76,9 @@ def test_a_second_commit_of_an_iteration_extends_it(tmp_path: Path) -> None:
 def test_rewind_removes_rows_newer_than_the_checkpoint(tmp_path: Path) -> None:
     run = RunLog(tmp_path)
     for iteration in (10, 20, 30):
-        run.append("curve", [{"iteration": iteration}])
+        run.append("curve", [{"iteration": iteration, "env_steps": iteration}])
         run.commit(iteration)
-    run.append("curve", [{"iteration": 31}])
+    run.append("curve", [{"iteration": 31, "env_steps": 31}])
     run.rewind(20)
     run.commit(31)
     assert list(parquet_log.read(tmp_path, "curve")["iteration"]) == [10, 20]
@@ -100,7 +101,7 @@ def test_text_and_numbers_do_not_mix(tmp_path: Path) -> None:
 def test_a_segment_of_other_types_is_named_by_its_column(tmp_path: Path) -> None:
     run = RunLog(tmp_path)
     for iteration, value in ((1, 1.0), (2, "one")):
-        run.append("curve", [{"x": value}])
+        run.append("curve", [{"iteration": iteration, "env_steps": iteration, "x": value}])
         run.commit(iteration)
     with pytest.raises(HeadwayError, match=r"table curve: .* text and numbers .* Field x .*; remove"):
         parquet_log.read(tmp_path, "curve")
@@ -108,9 +109,9 @@ def test_a_segment_of_other_types_is_named_by_its_column(tmp_path: Path) -> None
 
 def test_a_full_disk_is_one_line_and_loses_no_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = RunLog(tmp_path)
-    run.append("curve", [{"iteration": 1}])
+    run.append("curve", [{"iteration": 1, "env_steps": 1}])
     run.commit(1)
-    run.append("curve", [{"iteration": 2}])
+    run.append("curve", [{"iteration": 2, "env_steps": 2}])
 
     def full(_descriptor: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -145,7 +146,10 @@ def test_a_full_disk_keeps_committed_data(tiny_disk: Path) -> None:
     def fill() -> None:
         while kept[-1] < 1000:
             iteration = kept[-1] + 1
-            rows: list[Row] = [{"iteration": iteration, "x": value} for value in noise.normal(size=1000)]
+            rows: list[Row] = [
+                {"iteration": iteration, "env_steps": 1000 * iteration + place, "x": value}
+                for place, value in enumerate(noise.normal(size=1000))
+            ]
             run.append("curve", rows)
             run.commit(iteration)
             save_checkpoint(checkpoints, iteration, {"at": iteration})
@@ -157,6 +161,16 @@ def test_a_full_disk_keeps_committed_data(tiny_disk: Path) -> None:
     assert parquet_log.read(tiny_disk / "run", "curve")["iteration"].max() >= kept[-1]
     assert load_latest(checkpoints)[1] == {"at": kept[-1]}
     assert not list((tiny_disk / "run").glob(".*"))
+
+
+@pytest.mark.parametrize("column", ["iteration", "env_steps", "mode", "episode_seed"])
+def test_a_segment_without_a_required_column_is_named(column: str, tmp_path: Path) -> None:
+    row: Row = {"iteration": 1, "env_steps": 64, "mode": "greedy", "episode_seed": 0}
+    run = RunLog(tmp_path)
+    run.append("evaluation", [{name: value for name, value in row.items() if name != column}])
+    run.commit(1)
+    with pytest.raises(HeadwayError, match=rf"evaluation-000001\.parquet lacks column {column}: remove it"):
+        parquet_log.read(tmp_path, "evaluation")
 
 
 def test_a_broken_segment_is_named(tmp_path: Path) -> None:
@@ -171,8 +185,9 @@ from pathlib import Path
 from headway.store.parquet_log import RunLog
 run = RunLog(Path(sys.argv[1]))
 for iteration in range(1, 100_000):
-    run.append("curve", [{"iteration": iteration, "x": float(iteration)}] * 20)
-    run.append("episodes", [{"iteration": iteration}])
+    steps = range(20 * iteration, 20 * iteration + 20)
+    run.append("curve", [{"iteration": iteration, "env_steps": step, "x": 0.5} for step in steps])
+    run.append("episodes", [{"iteration": iteration, "env_steps": steps[-1], "copy": 0}])
     run.commit(iteration)
     print(iteration, flush=True)
 """
