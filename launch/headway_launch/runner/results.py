@@ -296,7 +296,7 @@ def _final_episodes(mode: str, results: Sequence[SeedResult]) -> list[list[Row]]
     """
     from headway.store.parquet_log import read_rows
 
-    played = []
+    played: list[list[Row]] = []
     for result in results:
         if result.status != "FINISHED":
             continue
