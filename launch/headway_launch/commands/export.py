@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.console.output_files import write_error
+from headway_launch.console.output_files import require_writable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -42,9 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Write the policy, compare it with the worker's, and print the path of the file."""
-    from headway.policies.files import FORMATS, policy_bytes, read_policy
-    from headway.policies.parity import require_parity
+    """Write the policy, compared with the rollout worker's, and print the path of the file."""
+    from headway.policies.files import FORMATS, policy_bytes
     from headway.policies.trained_run import TrainedRun
     from headway.store.atomic_files import write_durably
     from headway_launch.console.output import print_line
@@ -52,41 +51,46 @@ def execute(arguments: argparse.Namespace) -> int:
 
     if arguments.format not in FORMATS:
         raise HeadwayError(f"--format: unknown {arguments.format!r}; {suggestion(arguments.format, FORMATS)}")
-    suffix = FORMATS[arguments.format][0]
+    suffix = FORMATS[arguments.format].suffix
     run = StoredRun.find(existing_store(arguments.store), arguments.run)
     output = Path(arguments.output or f"{run.directory.name}{suffix}")
     if output.suffix != suffix:
         raise HeadwayError(
             f"--output: {output} must end in {suffix}, the suffix of --format {arguments.format}"
         )
-    if output.is_dir() or not output.parent.is_dir():
-        raise write_error(
-            "--output", output, IsADirectoryError("a folder") if output.is_dir() else FileNotFoundError()
-        )
+    require_writable("--output", output, output.parent)
     trained = TrainedRun.read(run.directory)
+    for line in trained.notices:
+        print_line(f"headway: {line}")
     environment, reason = _environment(run, trained.spec)
     description = trained.description
-    if source := getattr(environment and environment.prepared, "source", ""):
+    if environment is not None and (source := getattr(environment.prepared, "source", None)):
         description = replace(description, origin={**description.origin, "data": source})
     content = policy_bytes(arguments.format, description, trained.arrays)
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder, f"policy{suffix}")
-        copy.write_bytes(content)
-        policy = read_policy(copy)
-        blocks = _random(trained) if environment is None else _played(trained, environment)
-        rows = 0
-        for observed, state in blocks:
-            require_parity(policy, trained.acting, trained.parameters, observed, state)
-            rows += int(observed.alive.sum())
-    kind = (
-        f"random observations ({reason})"
-        if environment is None
-        else "observations of the training environment"
-    )
+    rows = _compared(content, suffix, trained, environment)
     write_durably(output, lambda stream: stream.write(content))
-    print_line(f"equal to the rollout worker's policy on {rows:,} {kind}")
+    origin = "of the training environment" if environment is not None else f"drawn at random ({reason})"
+    print_line(f"equal to the rollout worker's policy on {rows:,} observations {origin}")
     print(output)
     return 0
+
+
+def _compared(content: bytes, suffix: str, trained: "TrainedRun", environment: "PreparedEnv | None") -> int:
+    """Compare the file's policy with the rollout worker's; return the number of observations of live agents.
+
+    Raises HeadwayError if they differ.
+    """
+    from headway.policies.files import read_policy
+    from headway.policies.parity import require_parity
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, f"policy{suffix}")
+        file.write_bytes(content)
+        policy, rows = read_policy(file), 0
+        for observed, state in _random(trained) if environment is None else _played(trained, environment):
+            require_parity(policy, trained.acting, trained.parameters, observed, state)
+            rows += int(observed.alive.sum())
+    return rows
 
 
 def _environment(run: "StoredRun", spec: "EnvSpec") -> "tuple[PreparedEnv | None, str]":

@@ -8,7 +8,7 @@ import io
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -151,13 +151,19 @@ def _traced(description: PolicyDescription, arrays: Arrays) -> tuple[Any, dict[s
         return trace(Module().eval(), tuple(inputs.values())), inputs
 
 
-_Write = Callable[[PolicyDescription, Arrays], bytes]
-FORMATS: Mapping[str, tuple[str, _Write, Callable[[Path], Policy]]] = {
-    "npz": (".npz", _npz_bytes, _read_npz),
-    "onnx": (".onnx", _onnx_bytes, _read_onnx),
-    "torchscript": (".pt", _torchscript_bytes, _read_torchscript),
+class Format(NamedTuple):
+    """A format of policies' files."""
+
+    suffix: str
+    contents: Callable[[PolicyDescription, Arrays], bytes]
+    read: Callable[[Path], Policy]
+
+
+FORMATS: Mapping[str, Format] = {
+    "npz": Format(".npz", _npz_bytes, _read_npz),
+    "onnx": Format(".onnx", _onnx_bytes, _read_onnx),
+    "torchscript": Format(".pt", _torchscript_bytes, _read_torchscript),
 }
-"""Suffix, writer and reader by name of the format."""
 
 
 def policy_bytes(form: str, description: PolicyDescription, arrays: Arrays) -> bytes:
@@ -165,7 +171,7 @@ def policy_bytes(form: str, description: PolicyDescription, arrays: Arrays) -> b
 
     Raises HeadwayError if packages that it needs are not installed.
     """
-    return FORMATS[form][1](description, arrays)
+    return FORMATS[form].contents(description, arrays)
 
 
 def read_policy(path: Path) -> Policy:
@@ -173,7 +179,7 @@ def read_policy(path: Path) -> Policy:
 
     Raises HeadwayError if it cannot be read, is damaged or was not written by `headway export`.
     """
-    readers = {suffix: reader for suffix, _, reader in FORMATS.values()}
+    readers = {form.suffix: form.read for form in FORMATS.values()}
     if path.suffix not in readers:
         raise HeadwayError(f"{path} must be a run's folder or a file ending in {', '.join(readers)}")
     if not path.is_file():

@@ -1,5 +1,6 @@
 """Loading of trained policies."""
 
+import warnings
 from pathlib import Path
 
 from headway.policies.files import read_policy
@@ -13,7 +14,8 @@ def load_policy(source: str | Path) -> Policy:
     needs numpy only. A file .npz needs nothing but numpy; .onnx needs onnxruntime, .pt needs torch. No
     environment is made, except for runs of versions that did not store its specification.
 
-    Raises HeadwayError if the folder or file is not a policy's, is damaged, or lacks a checkpoint.
+    Warns of broken checkpoints that are skipped. Raises HeadwayError if the folder or file is not a policy's,
+    is damaged, or lacks a checkpoint.
     """
     path = Path(source)
     if not path.is_dir():
@@ -21,4 +23,6 @@ def load_policy(source: str | Path) -> Policy:
     from headway.policies.trained_run import TrainedRun
 
     run = TrainedRun.read(path)
+    for line in run.notices:
+        warnings.warn(line, stacklevel=2)
     return Policy(run.description, numpy_evaluation(run.description, run.arrays))

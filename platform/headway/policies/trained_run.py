@@ -1,6 +1,5 @@
 """Trained policies read from the folders of runs."""
 
-import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +31,8 @@ class TrainedRun:
     """Parameters of `acting`."""
     spec: EnvSpec
     """Specification of the training environment."""
+    notices: tuple[str, ...]
+    """A line about each broken checkpoint that was skipped."""
 
     @classmethod
     def read(cls, folder: Path) -> "TrainedRun":
@@ -64,8 +65,6 @@ class TrainedRun:
                 "network, as headway.api.DescribedPolicy does"
             )
         iteration, parameters, notices = newest_parameters(folder, acting, record.seed, stack, env.id)
-        for line in notices:
-            print(f"headway: {line}", file=sys.stderr)
         arrays = {name: parameters[name] for name in acting.network.array_names}
         description = PolicyDescription(
             spec.agents,
@@ -77,7 +76,7 @@ class TrainedRun:
             str(arrays["weight_0"].dtype),
             _origin(record, mapping, iteration),
         )
-        return cls(description, arrays, acting, parameters, spec)
+        return cls(description, arrays, acting, parameters, spec, notices)
 
 
 def _prepared_spec(config: EnvConfig) -> EnvSpec:

@@ -117,7 +117,7 @@ def test_without_the_environment_random_observations_are_compared(
 
     monkeypatch.setattr(Experiment, "prepare", prepare)
     assert run(["export", folder.name]) == 0
-    assert "random observations (its data are elsewhere)" in capsys.readouterr().err
+    assert "observations drawn at random (its data are elsewhere)" in capsys.readouterr().err
     assert load_policy(f"{folder.name}.npz").agents[0] == "visitor_0"
 
 
@@ -131,8 +131,8 @@ def test_a_file_that_acts_otherwise_is_not_written(
     def wrong(description: PolicyDescription, arrays: Arrays) -> bytes:
         return write(description, {**arrays, "bias_0": arrays["bias_0"] + np.float32(1e-3)})
 
-    suffix, write, read = files.FORMATS["npz"]
-    monkeypatch.setattr(files, "FORMATS", {**files.FORMATS, "npz": (suffix, wrong, read)})
+    write = files.FORMATS["npz"].contents
+    monkeypatch.setitem(files.FORMATS, "npz", files.FORMATS["npz"]._replace(contents=wrong))
     assert "differs from the rollout workers'" in refused("export", folder.name, "--output", "policy.npz")
     assert Path("policy.npz").read_text() == "earlier"
 

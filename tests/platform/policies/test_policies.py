@@ -103,7 +103,7 @@ def test_acts_as_the_rollout_worker(kind: str, form: str, tmp_path: Path) -> Non
         pytest.importorskip("onnxruntime")
     source, run = kept(tmp_path, kind)
     if form != "folder":
-        source = tmp_path / f"policy{FORMATS[form][0]}"
+        source = tmp_path / f"policy{FORMATS[form].suffix}"
         source.write_bytes(policy_bytes(form, run.description, run.arrays))
     policy = load_policy(source)
     space = run.spec.action_space
@@ -286,7 +286,7 @@ def test_a_damaged_or_foreign_file_is_one_line(
 ) -> None:
     if suffix == ".onnx":
         pytest.importorskip("onnxruntime")
-    form = next(name for name, (end, *_) in FORMATS.items() if end == suffix)
+    form = next(name for name, form in FORMATS.items() if form.suffix == suffix)
     whole = policy_bytes(form, recurrent[1].description, recurrent[1].arrays)
     if damage == "a byte" and suffix != ".npz":
         pytest.skip("only npz has checksums of its contents")
