@@ -40,6 +40,7 @@ LISTS = ("recipes", "commands")
 LAYERS = {
     "headway": (
         "training",
+        "policies",
         "wrappers",
         "adapters",
         "store",

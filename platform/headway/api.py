@@ -1,8 +1,9 @@
 """Public interface of the platform: everything that packages, scripts and notebooks import from `headway`.
 
 Environments, algorithms and wrappers are written against the contracts; `select` returns stored runs as
-pandas frames, `frames` and `plots` summarise and draw them. Importing this module imports neither pandas nor
-torch, so light workers may import modules that use it. Every other module of the package is private.
+pandas frames, `frames` and `plots` summarise and draw them; `load_policy` returns a trained policy. Importing
+this module imports neither pandas nor torch, so light workers may import modules that use it. Every other
+module of the package is private.
 """
 
 from typing import TYPE_CHECKING
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from headway.adapters.conformance import CHECKS, play
     from headway.adapters.parallel_entry import parallel_entry
     from headway.adapters.pettingzoo import AdapterOptions
+    from headway.policies.load import load_policy
+    from headway.policies.policy import Policy
     from headway.stats import frames, plots
     from headway.store.query import RunSelection, select
     from headway.wrappers.observations import ChangedObservations
@@ -23,8 +26,10 @@ _LOADED_LATER = {
     "CHECKS": "headway.adapters.conformance:CHECKS",
     "AdapterOptions": "headway.adapters.pettingzoo:AdapterOptions",
     "ChangedObservations": "headway.wrappers.observations:ChangedObservations",
+    "Policy": "headway.policies.policy:Policy",
     "RunSelection": "headway.store.query:RunSelection",
     "frames": "headway.stats.frames",
+    "load_policy": "headway.policies.load:load_policy",
     "parallel_entry": "headway.adapters.parallel_entry:parallel_entry",
     "play": "headway.adapters.conformance:play",
     "plots": "headway.stats.plots",
@@ -34,8 +39,10 @@ __all__ = [
     "CHECKS",
     "AdapterOptions",
     "ChangedObservations",
+    "Policy",
     "RunSelection",
     "frames",
+    "load_policy",
     "parallel_entry",
     "play",
     "plots",

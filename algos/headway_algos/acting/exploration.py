@@ -1,12 +1,12 @@
 """Exploring policies of the off-policy algorithms in numpy: epsilon-greedy and Ornstein-Uhlenbeck noise."""
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Box, Observations
+from headway.contracts import Box, Observations, PolicyNetwork
 from headway.contracts.acting_policy import Parameters
 from headway_algos.acting.mlp import MLPActingPolicy
 
@@ -19,7 +19,21 @@ class ExploringPolicy:
 
     any_block: ClassVar[bool] = True
 
+    OUTPUT: ClassVar[Literal["values", "tanh"]]
+    """Meaning of the network's outputs; see `headway.contracts.PolicyNetwork.output`."""
+
     perceptron: MLPActingPolicy
+
+    @property
+    def network(self) -> PolicyNetwork:
+        """Implement `headway.contracts.DescribedPolicy.network`."""
+        return replace(self.perceptron.network, output=self.OUTPUT)
+
+    def evaluate_network(
+        self, parameters: Parameters, observed: Observations, hidden_states: NDArray[Any] | None
+    ) -> tuple[NDArray[Any], None]:
+        """Implement `headway.contracts.DescribedPolicy.evaluate_network`."""
+        return self.perceptron.outputs(parameters, observed), None
 
     def parameter_shapes(self, replicas: int) -> Shapes:
         """Return the shapes of the networks' parameters and of `exploration` (P, 1, 1).
@@ -41,6 +55,8 @@ class ExploringPolicy:
 @dataclass(frozen=True)
 class EpsilonGreedyPolicy(ExploringPolicy):
     """The best allowed action or, with probability epsilon, a uniformly random allowed one."""
+
+    OUTPUT = "values"
 
     def noise(self, generator: np.random.Generator, steps: int) -> NDArray[np.float64]:
         """Draw uniforms (T, N, 2): one decides whether to explore, the other which action."""
@@ -74,6 +90,8 @@ class OrnsteinUhlenbeckPolicy(ExploringPolicy):
     clipped to the action bounds m - h and m + h (Uhlenbeck and Ornstein 1930, discretised with step 1). The
     noise x is the agent's hidden state: 0 where its stream begins, unchanged while the agent is not alive.
     """
+
+    OUTPUT = "tanh"
 
     theta: float
     sigma: float

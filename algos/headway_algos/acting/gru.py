@@ -1,12 +1,12 @@
 """Acting policy with gated recurrent units, in numpy."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Observations
+from headway.contracts import Observations, PolicyNetwork
 from headway.contracts.acting_policy import Parameters
 from headway_algos.acting.live_agents import evaluate_live
 from headway_algos.acting.mlp import MLPActingPolicy, actor_outputs
@@ -89,6 +89,20 @@ class GRUActingPolicy:
         noise: NDArray[np.float64] | None,
     ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[Any]]:
         """Implement `headway.contracts.RecurrentPolicy.act_from`. Actions of agents not alive are 0."""
+        outputs, after = self.evaluate_network(parameters, observed, hidden_states)
+        actions, log_probs = self.perceptron.choose_actions(parameters, observed, outputs, noise)
+        return actions, log_probs, np.where(observed.alive[..., None], after, hidden_states)
+
+    @property
+    def network(self) -> PolicyNetwork:
+        """Implement `headway.contracts.DescribedPolicy.network`."""
+        return replace(self.perceptron.network, hidden_size=self.hidden_size)
+
+    def evaluate_network(
+        self, parameters: Parameters, observed: Observations, hidden_states: NDArray[Any] | None
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Implement `headway.contracts.DescribedPolicy.evaluate_network`."""
+        assert hidden_states is not None
         perceptron, alive, last = self.perceptron, observed.alive, len(self.perceptron.hidden)
         gates = parameters["gru_weight_input"], parameters["gru_bias_input"]
         inputs = perceptron.evaluate(parameters, observed, [*perceptron.layers(parameters, last), gates])
@@ -98,6 +112,4 @@ class GRUActingPolicy:
         policies = perceptron.grouping.policies(len(alive), perceptron.replicas(parameters))
         after = gated_step(inputs, products, hidden_states, bias[policies, :, 0])
         output = parameters[f"weight_{last}"], parameters[f"bias_{last}"]
-        outputs = evaluate_live(after, alive, perceptron.grouping, [output])
-        actions, log_probs = perceptron.choose_actions(parameters, observed, outputs, noise)
-        return actions, log_probs, np.where(alive[..., None], after, hidden_states)
+        return evaluate_live(after, alive, perceptron.grouping, [output]), after

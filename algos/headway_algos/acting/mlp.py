@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Box, Discrete, EnvSpec, MultiDiscrete, Observations
+from headway.contracts import Box, Discrete, EnvSpec, MultiDiscrete, Observations, PolicyNetwork
 from headway.contracts.acting_policy import Parameters
 from headway_algos.acting.live_agents import evaluate_live
 from headway_algos.agent_id import agent_ids, with_ids
@@ -108,6 +108,25 @@ class MLPActingPolicy:
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """Implement `headway.contracts.ActingPolicy.act`. Actions of agents not alive are 0."""
         return self.choose_actions(parameters, observed, self.outputs(parameters, observed), noise)
+
+    @property
+    def network(self) -> PolicyNetwork:
+        """Implement `headway.contracts.DescribedPolicy.network`."""
+        return PolicyNetwork(
+            policy_of_agent=tuple(self.grouping.policies(1, 1)[0].tolist()),
+            output="mean" if isinstance(self.spec.action_space, Box) else "logits",
+            hidden_layers=len(self.hidden),
+            activation=self.activation,
+            observation_clip=OBSERVATION_CLIP if self.normalise else 0.0,
+            index_of_agent=tuple(self.agent_ids.argmax(1).tolist()) if self.agent_ids.shape[1] else (),
+            num_indices=int(self.agent_ids.shape[1]),
+        )
+
+    def evaluate_network(
+        self, parameters: Parameters, observed: Observations, hidden_states: NDArray[Any] | None
+    ) -> tuple[NDArray[Any], None]:
+        """Implement `headway.contracts.DescribedPolicy.evaluate_network`."""
+        return self.outputs(parameters, observed), None
 
     def replicas(self, parameters: Parameters) -> int:
         """Return R, the number of replicas in `parameters`."""

@@ -47,6 +47,7 @@ _COMMANDS = {
     "runs": _Command("list the runs in the store", "runs"),
     "diff": _Command("compare the settings and results of two runs", "diff"),
     "evaluate": _Command("evaluate a trained policy and the classical rules", "evaluate"),
+    "export": _Command("write a trained policy as npz, ONNX or TorchScript file", "export"),
     "compare": _Command("compare a study's cells and the rules on the same episodes", "compare"),
     "plot": _Command("plot a study's learning curves", "plot"),
     "render": _Command("render an episode of a policy or a rule as GIF or PNG", "render"),
@@ -67,7 +68,7 @@ _COMMANDS = {
     ),
     "list": _Command("list environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),
 }
-_ONE_THREAD = ("run", "sweep", "search", "resume", "evaluate", "compare", "render")
+_ONE_THREAD = ("run", "sweep", "search", "resume", "evaluate", "export", "compare", "render")
 """Commands whose numerical libraries use one thread, because parallel processes fill the machine."""
 
 

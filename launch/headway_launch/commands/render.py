@@ -1,7 +1,6 @@
 """`headway render`: render an episode as an animated GIF, or one of its steps as a PNG."""
 
 import argparse
-import tempfile
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from headway.config.schema import nearest, suggestion
 from headway.contracts.errors import HeadwayError
 from headway.wording import counted
 from headway_launch.commands.runs import add_store_argument, existing_store
-from headway_launch.console.output_files import write_error
+from headway_launch.console.output_files import require_writable, write_error
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
@@ -76,7 +75,8 @@ def execute(arguments: argparse.Namespace) -> int:
     _check(arguments, output)
     if arguments.keep:
         output = _in_run(arguments, output)
-    _require_writable(output, arguments.keep)
+    folder = output.parent.parent if arguments.keep and not output.parent.exists() else output.parent
+    require_writable("--output", output, folder)
     from headway.registry import env_entries
     from headway_launch.console.video import PackedFrame, write_film, write_picture
     from headway_launch.runner.warm_up import compile_kernels
@@ -129,19 +129,6 @@ def _in_run(arguments: argparse.Namespace, output: Path) -> Path:
 
     run = StoredRun.find(existing_store(arguments.store), arguments.name)
     return run.directory / "pictures" / output.name
-
-
-def _require_writable(output: Path, keep: bool) -> None:
-    """Raise HeadwayError if the file cannot be written. Called before any work, so that none is lost."""
-    folder = output.parent.parent if keep and not output.parent.exists() else output.parent
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-        if output.exists():
-            with output.open("ab"):
-                pass
-    except OSError as error:
-        raise write_error("--output", output, error) from error
 
 
 def _make_folder(arguments: argparse.Namespace, output: Path) -> None:

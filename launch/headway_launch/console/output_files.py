@@ -1,5 +1,6 @@
 """Output files of commands."""
 
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,21 @@ def write_figure(figure: "Figure", output: Path) -> None:
         figure.savefig(output)
     except (OSError, ValueError) as error:
         raise write_error("--output", output, error) from error
+
+
+def require_writable(option: str, path: Path, folder: Path) -> None:
+    """Raise HeadwayError if the file of `option` cannot be written. Called before any work, so none is lost.
+
+    `folder` must exist and be writable: that of the file, or one in which its folder will be created.
+    """
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+        if path.exists():
+            with path.open("ab"):
+                pass
+    except OSError as error:
+        raise write_error(option, path, error) from error
 
 
 def write_error(option: str, path: Path, error: Exception) -> HeadwayError:

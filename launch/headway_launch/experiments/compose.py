@@ -5,15 +5,14 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
+from headway.algorithms import chosen_algo
 from headway.config.experiment import NO_PRESET, ExperimentConfig
 from headway.config.schema import (
     build,
     describe,
-    literal_choices,
     nearest,
     parse_seeds,
     plain,
@@ -24,7 +23,7 @@ from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError, UnknownKeyError
 from headway.environments import chosen_env, notices_of
-from headway.registry import algo_entries, algo_entry, is_module_path, wrapper_entry
+from headway.registry import is_module_path, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
 from headway_launch.console.output import print_line, prints_to_stderr
 from headway_launch.experiments.options import NO_ENV, configs_folder, options, store_registered
@@ -216,7 +215,7 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     values = dict(mapping)
     if "seed" in values:
         values["seed"] = parse_seeds(values["seed"])
-    algo, algo_config = _algorithm(build(ExperimentConfig, {"algo": values.get("algo", {})}).algo)
+    algo, algo_config = chosen_algo(build(ExperimentConfig, {"algo": values.get("algo", {})}).algo)
     if isinstance(rollout := values.get("rollout", {}), Mapping):
         values["rollout"] = {**algo.rollout(algo_config), **rollout}
     config = build(ExperimentConfig, values)
@@ -238,41 +237,6 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
         algo=algo,
         algo_config=algo_config,
     )
-
-
-def _algorithm(mapping: Mapping[str, Any]) -> tuple[AlgoEntry, Any]:
-    """Return the entry and the config record of `algo`. Raises HeadwayError if it is not valid."""
-    hyper_parameters = dict(mapping)
-    name = hyper_parameters.pop("name", None)
-    if not isinstance(name, str):
-        raise HeadwayError(f"algo.name is missing; choose one of {', '.join(algo_entries())}")
-    entry = algo_entry(name)
-    record = entry.record_for(hyper_parameters)
-    if any(field.name == "name" for field in fields(record)):
-        hyper_parameters["name"] = name
-    elsewhere = partial(_key_elsewhere, entry, hyper_parameters)
-    return entry, build(record, hyper_parameters, "algo", name, elsewhere)
-
-
-def _key_elsewhere(algo: AlgoEntry, hyper_parameters: Mapping[str, Any], key: str) -> str | None:
-    """Return where a key exists that the algorithm lacks with these hyper-parameters; None if nowhere.
-
-    The choices of this algorithm that have the key are named or, if there are none, the other algorithms.
-    """
-
-    def has_key(record: type) -> bool:
-        return any(field.name == key for field in fields(record))
-
-    owners = [
-        f"algo.{choice}={value}"
-        for choice, values in literal_choices(algo.record_for(hyper_parameters)).items()
-        for value in values
-        if has_key(algo.record_for({**hyper_parameters, choice: value}))
-    ]
-    owners = owners or [name for name, entry in algo_entries().items() if has_key(entry.config)]
-    if len(owners) < 2:
-        return f"it is one of {owners[0]}" if owners else None
-    return f"it is one of {', '.join(owners[:-1])} and {owners[-1]}"
 
 
 def _hydra_override(override: str, overrides: Sequence[str]) -> str:

@@ -4,9 +4,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from headway.config.experiment import ExperimentConfig, without_password
+from headway.config.experiment import ExperimentConfig
 from headway.config.schema import plain
-from headway.registry import algo_entries
 from headway_launch.experiments.compose import Experiment
 
 _IDENTITY_KEYS = ("study", "env_steps", "device", "env", "algo", "rollout", "evaluation")
@@ -43,26 +42,6 @@ def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]
         },
         "algo": {**plain(experiment.algo_config), "name": experiment.algo_name},
     }
-
-
-def upgraded(mapping: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a configuration stored by an earlier version in the form of this version.
-
-    Hyper-parameters that had no effect are dropped, and newer ones are set to the value that reproduces the
-    old behaviour.
-    """
-    store = mapping.get("store")
-    if isinstance(store, Mapping) and isinstance(uri := store.get("tracking_uri"), str):
-        mapping = {**mapping, "store": {**store, "tracking_uri": without_password(uri)}}
-    backend = mapping.get("backend")
-    if isinstance(backend, Mapping) and "patience_s" in backend:
-        backend = {**backend, "worker_timeout_s": backend["patience_s"]}  # its former name
-        mapping = {**mapping, "backend": {key: backend[key] for key in backend if key != "patience_s"}}
-    algo = mapping.get("algo")
-    entry = algo_entries().get(algo.get("name", "")) if isinstance(algo, Mapping) else None
-    if entry is None or not isinstance(algo, Mapping):
-        return dict(mapping)
-    return {**mapping, "algo": {**getattr(entry.config, "VALUES_BEFORE", {}), **entry.stored(algo)}}
 
 
 def cell_parameters(experiment: Experiment) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from statistics import fmean
 from headway.config.schema import plain
 from headway.contracts.errors import HeadwayError
 from headway.events import Row
+from headway.policies.stored_spec import spec_json
 from headway.store.atomic_files import read_json
 from headway.store.checkpoint import latest_iteration
 from headway.store.run_folder import CHECKPOINTS, Status, folders_of_seed, rules_file, status_of_all
@@ -63,6 +64,7 @@ class SessionCell:
             "rollout": plain(planned.config.rollout),
             "workers": workers_of(planned, shares),
             "scaled_actions": True,
+            "spec": spec_json(planned.env_spec),
         }
         with self._store.claiming():
             self._require_untaken(planned.seeds)

@@ -5,15 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts.errors import HeadwayError
 from headway.events import Row
 from headway.rollout.episodes import EvaluationRequest, OnStep, evaluate_policy, ignore_step
 from headway.rollout.plan import RolloutPlan
-from headway.store.checkpoint import load_latest, require_same_shapes
-from headway.store.run_folder import CHECKPOINTS
+from headway.store.checkpoint import newest_parameters
 from headway_launch.console.output import prints_to_stderr
 from headway_launch.experiments.compose import PreparedEnv
 from headway_launch.runner.stored_run import StoredRun
@@ -36,20 +33,16 @@ def newest_policy(run: StoredRun, environment: PreparedEnv) -> TrainedPolicy:
     `environment` is the run's own, or one with the same `Experiment.evaluated_env`. Raises HeadwayError if
     there is no checkpoint, or if it does not fit the environment's observations and actions or is not finite.
     """
-    iteration, state, notices = load_latest(run.directory / CHECKPOINTS)
-    for line in notices:
-        print(f"headway: {line}", file=sys.stderr)
     experiment, rollout = run.experiment, run.experiment.config.rollout
     spec = run.policy_spec(environment)
     policy = experiment.algo.acting_policy(experiment.algo_config, spec)
-    env, seeds, replicas = environment.entry, (run.record.seed,), len(run.stack)
-    require_same_shapes(state["acting"], policy, replicas, experiment.config.env.id, run.directory)
-    plan = RolloutPlan.of(rollout, env.make, env.preload, environment.prepared, spec, policy, seeds)
-    replica = run.stack.index(run.record.seed)
-    parameters = {name: np.split(np.asarray(a), replicas)[replica] for name, a in state["acting"].items()}
-    for name, array in parameters.items():
-        if not np.isfinite(array).all():
-            raise HeadwayError(f"run {run.directory.name} diverged: its policy's {name} is not finite")
+    env, seed = environment.entry, run.record.seed
+    iteration, parameters, notices = newest_parameters(
+        run.directory, policy, seed, run.stack, experiment.config.env.id
+    )
+    for line in notices:
+        print(f"headway: {line}", file=sys.stderr)
+    plan = RolloutPlan.of(rollout, env.make, env.preload, environment.prepared, spec, policy, (seed,))
     return TrainedPolicy(plan, parameters, iteration)
 
 

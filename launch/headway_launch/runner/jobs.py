@@ -33,6 +33,8 @@ class PlannedJob:
     training: TrainingJob
     """The work of its training process, without run folders and workers; blocks as `within_processes` sets
     them."""
+    env_spec: EnvSpec
+    """Spec of the training environment, with actions in its own units."""
     resumed: tuple[str, ...] = ()
     """Identities of the runs to resume, one per seed; empty for new runs."""
     iteration: int = 0
@@ -69,7 +71,7 @@ class PlannedJob:
             make_contributor=algo.contributor,
             contributor_preload=algo.preload,
         )
-        return cls(experiment, training)
+        return cls(experiment, training, environment.spec)
 
     @property
     def seeds(self) -> tuple[int, ...]:

@@ -2,21 +2,19 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
-from headway.store.atomic_files import read_json, require_regular
+from headway.store.atomic_files import read_json
+from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import RunRecord, find_run
 from headway_launch.experiments.compose import Experiment, PreparedEnv, resolve
-from headway_launch.experiments.parameters import identity, upgraded
+from headway_launch.experiments.parameters import identity
 from headway_launch.runner.jobs import PlannedJob
-
-_MAX_DEPTH = 100
-"""Most levels of a stored configuration."""
 
 
 @dataclass(frozen=True)
@@ -79,38 +77,6 @@ class StoredRun:
     def policy_spec(self, environment: PreparedEnv) -> EnvSpec:
         """Return the environment's specification, with actions in the units of this run's policies."""
         return environment.spec.for_policies if self.scaled_actions else environment.spec
-
-
-def read_configuration(directory: Path) -> dict[str, Any]:
-    """Return the configuration in a run's folder, `upgraded`. Raises HeadwayError if it cannot be read."""
-    import yaml
-
-    path = directory / "config.yaml"
-    require_regular(path)
-    # The C loader is ten times faster, which is noticeable in studies with hundreds of runs.
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    try:
-        text = path.read_text(encoding="utf-8")
-        _require_shallow(yaml.parse(text, loader))
-        mapping = yaml.load(text, loader)
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        reason = str(error).splitlines()[0]
-        raise HeadwayError(f"{path} cannot be read ({reason}), so the run cannot be used") from error
-    if not isinstance(mapping, dict):
-        raise HeadwayError(f"{path} holds no configuration, so the run cannot be used")
-    return upgraded(mapping)
-
-
-def _require_shallow(events: Iterable[object]) -> None:
-    """Raise ValueError for YAML, as parsing events, so deeply nested that the C loader would crash."""
-    import yaml
-
-    depth = 0
-    for event in events:
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _MAX_DEPTH:
-            raise ValueError(f"it is nested more than {_MAX_DEPTH} levels deep")
 
 
 def jobs_to_resume(

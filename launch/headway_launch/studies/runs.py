@@ -122,6 +122,6 @@ def rules_beside(runs: "RunSelection", metric: str) -> dict[str, dict[str, float
 @lru_cache(maxsize=4096)
 def configuration(directory: str) -> Mapping[str, Any]:
     """Return the configuration in a run's folder, cached. Raises HeadwayError if it cannot be read."""
-    from headway_launch.runner.stored_run import read_configuration
+    from headway.store.run_configuration import read_configuration
 
     return read_configuration(Path(directory))

@@ -33,6 +33,7 @@ from headway.contracts.learner import (
     Learner,
     LearnerWithReplay,
 )
+from headway.contracts.policy_network import DescribedPolicy, PolicyNetwork
 from headway.contracts.published import PublishedResult, PublishedResults
 from headway.contracts.random_rule import RANDOM, RandomRule
 from headway.contracts.random_streams import child_seeds, generator
@@ -52,6 +53,7 @@ __all__ = [
     "Box",
     "Contribution",
     "Contributor",
+    "DescribedPolicy",
     "Discrete",
     "EnvEntry",
     "EnvSpec",
@@ -62,6 +64,7 @@ __all__ = [
     "MultiDiscrete",
     "ObservationBounds",
     "Observations",
+    "PolicyNetwork",
     "PublishedResult",
     "PublishedResults",
     "RandomRule",

@@ -63,6 +63,19 @@ class Box:
         pairs = [(-1.0, 1.0) if 0 < high - low <= _LARGEST else (low, high) for low, high in bounds]
         return Box(tuple(low for low, _ in pairs), tuple(high for _, high in pairs))
 
+    def scaling_to(self, other: "Box") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return (scale, offset), each (size,), of the affine map from these bounds to those of `other`.
+
+        Components with equal bounds in both stay as they are, bounded or not.
+        """
+        scale, offset = np.ones(self.size), np.zeros(self.size)
+        bounds = zip(self.low, self.high, other.low, other.high, strict=True)
+        for i, (low, high, new_low, new_high) in enumerate(bounds):
+            if (low, high) != (new_low, new_high):
+                scale[i] = (new_high - new_low) / (high - low)
+                offset[i] = new_low - scale[i] * low
+        return scale, offset
+
 
 ActionSpace = Discrete | MultiDiscrete | Box
 

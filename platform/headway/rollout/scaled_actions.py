@@ -11,8 +11,7 @@ from headway.contracts import BatchedEnv, BatchWrapper, Box, EnvSpec, Observatio
 class ScaledActions(BatchWrapper):
     """Maps each component affinely from the bounds of `spec` to those of the inner environment.
 
-    Components with equal bounds in both stay as they are, bounded or not. Actions outside the bounds stay
-    outside, for the environment to clip.
+    Actions outside the bounds stay outside, for the environment to clip.
     """
 
     def __init__(self, inner: BatchedEnv, spec: EnvSpec) -> None:
@@ -20,13 +19,7 @@ class ScaledActions(BatchWrapper):
         own, given = inner.spec.action_space, spec.action_space
         assert isinstance(own, Box)
         assert isinstance(given, Box)
-        scale, offset = np.ones(own.size), np.zeros(own.size)
-        bounds = zip(given.low, given.high, own.low, own.high, strict=True)
-        for i, (low, high, new_low, new_high) in enumerate(bounds):
-            if (low, high) != (new_low, new_high):
-                scale[i] = (new_high - new_low) / (high - low)
-                offset[i] = new_low - scale[i] * low
-        self._scale, self._offset = scale, offset
+        self._scale, self._offset = given.scaling_to(own)
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         return super().step((self._scale * actions + self._offset).astype(np.float32))

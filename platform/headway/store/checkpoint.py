@@ -17,6 +17,7 @@ from headway.contracts import HeadwayError
 from headway.contracts.acting_policy import ActingPolicy, Parameters
 from headway.store.atomic_files import make_folder, remove_partial, sync_folder
 from headway.store.fencing import discard, write_through
+from headway.store.run_folder import CHECKPOINTS
 
 _MAGIC = b"headway checkpoint 1\n"
 _NAMES = {kind: re.compile(rf"{kind}-(\d{{6,}})\.pt") for kind in ("checkpoint", "experience")}
@@ -148,6 +149,24 @@ def require_same_shapes(
                 f"run {run.name} was trained on a version of {environment} with other observations, actions "
                 "or agents; train it again"
             )
+
+
+def newest_parameters(
+    run: Path, policy: ActingPolicy, seed: int, stack: Sequence[int], environment: str
+) -> tuple[int, Parameters, tuple[str, ...]]:
+    """Return (iteration, acting parameters of `seed`, notices) of a run's newest valid checkpoint.
+
+    `run` is the run's folder, `stack` the seeds in its checkpoints. Notices are those of `load_latest`.
+    Raises HeadwayError if there is no valid checkpoint, or if it does not fit `policy` or is not finite.
+    """
+    iteration, state, notices = load_latest(run / CHECKPOINTS)
+    replicas = len(stack)
+    require_same_shapes(state["acting"], policy, replicas, environment, run)
+    own = {name: np.split(np.asarray(a), replicas)[stack.index(seed)] for name, a in state["acting"].items()}
+    for name, array in own.items():
+        if not np.isfinite(array).all():
+            raise HeadwayError(f"run {run.name} diverged: its policy's {name} is not finite")
+    return iteration, own, notices
 
 
 def latest_iteration(directory: Path) -> int | None:

@@ -11,9 +11,10 @@ from headway.config.experiment import ExperimentConfig, RolloutConfig
 from headway.config.schema import build, describe
 from headway.contracts import HeadwayError
 from headway.registry import algo_entries, env_entries
+from headway.store.run_configuration import upgraded
 from headway_launch.experiments.compose import compose, resolve
 from headway_launch.experiments.options import configs_folder, options, summary_of
-from headway_launch.experiments.parameters import cell_parameters, full_mapping, upgraded
+from headway_launch.experiments.parameters import cell_parameters, full_mapping
 from headway_launch.experiments.search import read_search
 from headway_launch.experiments.sweep import compose_sweep
 from headway_launch.runner.cores import CoreShares, share_cores

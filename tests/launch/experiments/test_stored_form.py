@@ -7,8 +7,9 @@ import pytest
 from headway.config.schema import plain
 from headway.contracts import HeadwayError
 from headway.registry import hashed_parameters
+from headway.store.run_configuration import upgraded
 from headway_launch.experiments.compose import compose, resolve
-from headway_launch.experiments.parameters import cell_parameters, flat, full_mapping, identity, upgraded
+from headway_launch.experiments.parameters import cell_parameters, flat, full_mapping, identity
 
 MODEL = {
     "hidden": [64, 64], "activation": "tanh", "actor_gain": 0.01, "initial_logits": [], "log_std": -0.5,

@@ -12,10 +12,11 @@ from small_runs import SMALL, end_as
 from headway.contracts import Box, EnvSpec, HeadwayError
 from headway.store.checkpoint import load_latest, save_checkpoint
 from headway.store.parquet_log import read_rows
+from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.commands.main import run
 from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
-from headway_launch.runner.stored_run import StoredRun, jobs_to_resume, read_configuration
+from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
 
 TINY = (
     "run", "env=tracking", "algo=ippo", *SMALL, "backend=serial", "env.args.steps=8", "env_steps=256",

@@ -1,0 +1,105 @@
+"""Description of a trained policy: all that is needed besides its arrays, with a form in JSON."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import ActionSpace, Box, Discrete, MultiDiscrete, PolicyNetwork
+from headway.policies.stored_spec import space_json, space_of
+
+Arrays = Mapping[str, NDArray[Any]]
+_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class PolicyDescription:
+    """A trained policy without its arrays."""
+
+    agents: tuple[str, ...]
+    """Names of the N agents in array order."""
+    observation_size: int
+    """D."""
+    action_space: ActionSpace
+    """Action space of the environment."""
+    policy_space: ActionSpace
+    """Action space in the units of the network; differs from `action_space` for Box actions only."""
+    has_action_mask: bool
+    """Whether the policy needs action masks."""
+    network: PolicyNetwork
+    precision: str
+    """Dtype of the network's arrays, inputs and hidden states: float32 or float64."""
+    origin: Mapping[str, Any]
+    """Where the policy is from, as JSON values: run, algorithm, environment, iteration, versions."""
+
+    @property
+    def options(self) -> tuple[int, ...]:
+        """Number of options of each choice of a Discrete or MultiDiscrete action; empty for Box actions."""
+        match self.action_space:
+            case Discrete(n=n):
+                return (n,)
+            case MultiDiscrete(nvec=nvec):
+                return nvec
+        return ()
+
+    @property
+    def constants(self) -> dict[str, NDArray[Any]]:
+        """Arrays that follow from the description, by name, for `headway.policies.network.evaluate`.
+
+        `policy_of_agent` (N,); `indices` (N, 1, G), the one-hot inputs; for Box actions `action_scale` and
+        `action_offset` (A,), from network outputs to environment actions, and the bounds `action_low` and
+        `action_high` (A,).
+        """
+        network = self.network
+        constants: dict[str, NDArray[Any]] = {}
+        if network.num_indices:
+            constants["indices"] = np.eye(network.num_indices)[list(network.index_of_agent)][:, None]
+        if isinstance(self.action_space, Box):
+            assert isinstance(self.policy_space, Box)
+            scale, offset = self.policy_space.scaling_to(self.action_space)
+            low, high = np.array(self.action_space.low), np.array(self.action_space.high)
+            if network.output == "tanh":
+                scale, offset = (high - low) / 2, (high + low) / 2
+            constants |= {"action_scale": scale, "action_offset": offset}
+            constants |= {"action_low": low, "action_high": high}
+        numbers = {name: array.astype(self.precision) for name, array in constants.items()}
+        return {"policy_of_agent": np.array(network.policy_of_agent, np.int64), **numbers}
+
+    def to_json(self) -> str:
+        """Return the description as JSON text."""
+        content = {
+            "headway_policy": _FORMAT,
+            "agents": self.agents,
+            "observation_size": self.observation_size,
+            "action_space": space_json(self.action_space),
+            "policy_space": space_json(self.policy_space),
+            "has_action_mask": self.has_action_mask,
+            "network": asdict(self.network),
+            "precision": self.precision,
+            "origin": self.origin,
+        }
+        return json.dumps(content, default=str)
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Inverse of `to_json`. Raises KeyError, TypeError or ValueError if it is not such a text."""
+        content = json.loads(text)
+        if content["headway_policy"] != _FORMAT:
+            raise ValueError("it is from another version of Headway")
+        network: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in content["network"].items()
+        }
+        return cls(
+            tuple(content["agents"]),
+            int(content["observation_size"]),
+            space_of(content["action_space"]),
+            space_of(content["policy_space"]),
+            bool(content["has_action_mask"]),
+            PolicyNetwork(**network),
+            str(np.dtype(content["precision"])),
+            content["origin"],
+        )

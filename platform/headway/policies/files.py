@@ -1,0 +1,198 @@
+"""Files of trained policies: npz, ONNX and TorchScript, each with the policy's description in JSON.
+
+An ONNX or TorchScript file computes `headway.policies.network.Evaluation` (actions, outputs, next state) from
+`observations` (B, N, D) float32 and, where the policy has them, `masks` (B, N, A) bool and `state` (B, N, M).
+"""
+
+import io
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from headway.contracts.errors import HeadwayError, one_line
+from headway.policies.description import Arrays, PolicyDescription
+from headway.policies.network import Evaluation, evaluate
+from headway.policies.policy import Array, Evaluate, Policy, numpy_evaluation
+
+_ENTRY = "headway.json"
+"""Name of the description in a file."""
+_OUTPUTS = ("actions", "outputs", "next_state")
+
+
+def _npz_bytes(description: PolicyDescription, arrays: Arrays) -> bytes:
+    stream = io.BytesIO()
+    named: dict[str, Any] = {_ENTRY: np.array(description.to_json()), **arrays}
+    np.savez_compressed(stream, **named)
+    return stream.getvalue()
+
+
+def _read_npz(path: Path) -> Policy:
+    with np.load(path, allow_pickle=False) as stored:
+        description = PolicyDescription.from_json(str(stored[_ENTRY]))
+        arrays = {name: stored[name] for name in description.network.array_names}
+    return Policy(description, numpy_evaluation(description, arrays))
+
+
+def _torchscript_bytes(description: PolicyDescription, arrays: Arrays) -> bytes:
+    import torch
+
+    stream = io.BytesIO()
+    module, _ = _traced(description, arrays)
+    torch.jit.save(module, stream, _extra_files={_ENTRY: description.to_json()})
+    return stream.getvalue()
+
+
+def _read_torchscript(path: Path) -> Policy:
+    import torch
+
+    extra = {_ENTRY: ""}
+    load: Any = torch.jit.load
+    module = load(str(path), map_location="cpu", _extra_files=extra)
+    description = PolicyDescription.from_json(extra[_ENTRY])
+
+    def run(inputs: Mapping[str, Array]) -> list[Array]:
+        with torch.no_grad():
+            return [result.numpy() for result in module(*map(torch.as_tensor, inputs.values()))]
+
+    return Policy(description, _evaluation(description, run))
+
+
+def _onnx_bytes(description: PolicyDescription, arrays: Arrays) -> bytes:
+    import torch
+
+    onnx, _ = _onnx_packages()
+    module, inputs = _traced(description, arrays)
+    stream: Any = io.BytesIO()
+    outputs = _OUTPUTS if description.network.hidden_size else _OUTPUTS[:2]
+    with warnings.catch_warnings():
+        # The newer exporter takes half a minute, prints its progress and needs another package.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            module,
+            tuple(inputs.values()),
+            stream,
+            input_names=list(inputs),
+            output_names=list(outputs),
+            dynamic_axes={name: {0: "batch"} for name in (*inputs, *outputs)},
+            dynamo=False,
+        )
+    model = onnx.load_model_from_string(stream.getvalue())
+    onnx.helper.set_model_props(model, {_ENTRY: description.to_json()})
+    return bytes(model.SerializeToString())
+
+
+def _read_onnx(path: Path) -> Policy:
+    _, onnxruntime = _onnx_packages()
+    session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
+    description = PolicyDescription.from_json(session.get_modelmeta().custom_metadata_map[_ENTRY])
+    return Policy(description, _evaluation(description, lambda inputs: session.run(None, dict(inputs))))
+
+
+def _onnx_packages() -> tuple[Any, Any]:
+    try:
+        import onnx
+        import onnxruntime
+    except ImportError as error:
+        raise HeadwayError(
+            f'ONNX files need the package {error.name}; install it with pip install "headway[export]"'
+        ) from error
+    return onnx, onnxruntime
+
+
+def _evaluation(
+    description: PolicyDescription, run: Callable[[Mapping[str, Array]], list[Array]]
+) -> Evaluate:
+    """Return the evaluation by a stored graph; `run` maps its inputs by name to its outputs."""
+
+    def evaluate_graph(observations: Array, masks: Array | None, state: Array | None) -> Evaluation:
+        given = {"observations": observations, "masks": masks, "state": state}
+        results = run({name: array for name, array in given.items() if array is not None})
+        return Evaluation(*results, *[None] * (len(Evaluation._fields) - len(results)))
+
+    return evaluate_graph
+
+
+def _traced(description: PolicyDescription, arrays: Arrays) -> tuple[Any, dict[str, Any]]:
+    """Return the policy as a traced torch module and, by name, inputs of two copies."""
+    import torch
+
+    network, agents = description.network, len(description.agents)
+    inputs = {"observations": torch.zeros(2, agents, description.observation_size)}
+    if description.has_action_mask:
+        inputs["masks"] = torch.ones(2, agents, sum(description.options), dtype=torch.bool)
+    dtype = getattr(torch, description.precision)
+    if network.hidden_size:
+        inputs["state"] = torch.zeros(2, agents, network.hidden_size, dtype=dtype)
+
+    class Module(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            for name, array in {**description.constants, **arrays}.items():
+                self.register_buffer(name, torch.as_tensor(array).clone())
+
+        def forward(self, *given: torch.Tensor) -> tuple[torch.Tensor, ...]:
+            named, buffers = dict(zip(inputs, given, strict=True)), dict(self.named_buffers())
+            results = evaluate(
+                torch,
+                description,
+                buffers,
+                named["observations"].to(dtype),
+                named.get("masks"),
+                named.get("state"),
+            )
+            return tuple(result for result in results if result is not None)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # TorchScript is deprecated, but what `headway export` was asked for
+        trace: Any = torch.jit.trace
+        return trace(Module().eval(), tuple(inputs.values())), inputs
+
+
+class Format(NamedTuple):
+    """A format of policies' files."""
+
+    suffix: str
+    contents: Callable[[PolicyDescription, Arrays], bytes]
+    read: Callable[[Path], Policy]
+
+
+FORMATS: Mapping[str, Format] = {
+    "npz": Format(".npz", _npz_bytes, _read_npz),
+    "onnx": Format(".onnx", _onnx_bytes, _read_onnx),
+    "torchscript": Format(".pt", _torchscript_bytes, _read_torchscript),
+}
+
+
+def policy_bytes(form: str, description: PolicyDescription, arrays: Arrays) -> bytes:
+    """Return the contents of a policy's file of a format in `FORMATS`.
+
+    Raises HeadwayError if packages that it needs are not installed.
+    """
+    return FORMATS[form].contents(description, arrays)
+
+
+def read_policy(path: Path) -> Policy:
+    """Read a policy's file, whose suffix tells its format.
+
+    Raises HeadwayError if it cannot be read, is damaged or was not written by `headway export`.
+    """
+    readers = {form.suffix: form.read for form in FORMATS.values()}
+    if path.suffix not in readers:
+        raise HeadwayError(f"{path} must be a run's folder or a file ending in {', '.join(readers)}")
+    if not path.is_file():
+        raise HeadwayError(f"there is no file {path}")
+    try:
+        policy = readers[path.suffix](path)
+        agents, options = len(policy.agents), sum(policy.description.options)
+        masks = np.ones((agents, options), np.bool_) if policy.description.has_action_mask else None
+        policy.act(np.zeros((agents, policy.observation_size)), masks)
+    except HeadwayError:
+        raise
+    except Exception as error:  # what the libraries raise for damaged files has no common type
+        raise HeadwayError(
+            f"{path} is damaged or is no policy: export it again with `headway export` ({one_line(error)})"
+        ) from error
+    return policy

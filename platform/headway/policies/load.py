@@ -1,0 +1,28 @@
+"""Loading of trained policies."""
+
+import warnings
+from pathlib import Path
+
+from headway.policies.files import read_policy
+from headway.policies.policy import Policy, numpy_evaluation
+
+
+def load_policy(source: str | Path) -> Policy:
+    """Load a trained policy from a run's folder or a file written by `headway export`.
+
+    A run's folder may have been copied from its store; its newest checkpoint is read, with torch, and acting
+    needs numpy only. A file .npz needs nothing but numpy; .onnx needs onnxruntime, .pt needs torch. No
+    environment is made, except for runs of versions that did not store its specification.
+
+    Warns of broken checkpoints that are skipped. Raises HeadwayError if the folder or file is not a policy's,
+    is damaged, or lacks a checkpoint.
+    """
+    path = Path(source)
+    if not path.is_dir():
+        return read_policy(path)
+    from headway.policies.trained_run import TrainedRun
+
+    run = TrainedRun.read(path)
+    for line in run.notices:
+        warnings.warn(line, stacklevel=2)
+    return Policy(run.description, numpy_evaluation(run.description, run.arrays))

@@ -1,0 +1,100 @@
+"""Trained policies read from the folders of runs."""
+
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from headway.algorithms import chosen_algo
+from headway.config.experiment import EnvConfig, ExperimentConfig
+from headway.config.schema import build
+from headway.contracts import DescribedPolicy, EnvSpec, HeadwayError
+from headway.environments import chosen_env
+from headway.policies.description import Arrays, PolicyDescription
+from headway.policies.stored_spec import spec_of
+from headway.store.atomic_files import read_json
+from headway.store.checkpoint import newest_parameters
+from headway.store.run_configuration import read_configuration
+from headway.store.run_folder import RunRecord
+
+
+@dataclass(frozen=True)
+class TrainedRun:
+    """The newest policy of a run."""
+
+    description: PolicyDescription
+    arrays: Arrays
+    """Arrays of the network, by name."""
+    acting: DescribedPolicy
+    """The policy that rollout workers run."""
+    parameters: Arrays
+    """Parameters of `acting`."""
+    spec: EnvSpec
+    """Specification of the training environment."""
+    notices: tuple[str, ...]
+    """A line about each broken checkpoint that was skipped."""
+
+    @classmethod
+    def read(cls, folder: Path) -> "TrainedRun":
+        """Read the newest checkpoint of the run in `folder`.
+
+        The environment is prepared only for runs of earlier versions, which did not store its specification.
+        Raises HeadwayError if the folder is not a run's or is incomplete, if it has no valid checkpoint, or
+        if the algorithm's policy does not describe itself.
+        """
+        if not (folder / "config.yaml").exists():
+            raise HeadwayError(f"{folder} is not the folder of a run: it has no config.yaml")
+        mapping, plan, record = (
+            read_configuration(folder),
+            read_json(folder / "plan.json"),
+            RunRecord.read(folder),
+        )
+        algo, algo_config = chosen_algo(build(ExperimentConfig, {"algo": mapping.get("algo", {})}).algo)
+        env = build(ExperimentConfig, {"env": mapping.get("env", {})}).env
+        try:
+            stack = [int(seed) for seed in plan["stack"]]
+            spec = spec_of(plan["spec"]) if "spec" in plan else _prepared_spec(env)
+            stack.index(record.seed)
+        except (KeyError, TypeError, ValueError) as error:
+            raise HeadwayError(f"{folder / 'plan.json'} is damaged ({error}): restore it") from error
+        policy_spec = spec.for_policies if plan.get("scaled_actions") else spec
+        acting = algo.acting_policy(algo_config, policy_spec)
+        if not isinstance(acting, DescribedPolicy):
+            raise HeadwayError(
+                f"policies of {record.algorithm} cannot be exported: its acting policy does not describe its "
+                "network, as headway.api.DescribedPolicy does"
+            )
+        iteration, parameters, notices = newest_parameters(folder, acting, record.seed, stack, env.id)
+        arrays = {name: parameters[name] for name in acting.network.array_names}
+        description = PolicyDescription(
+            spec.agents,
+            spec.observation_size,
+            spec.action_space,
+            policy_spec.action_space,
+            spec.has_action_mask,
+            acting.network,
+            str(arrays["weight_0"].dtype),
+            _origin(record, mapping, iteration),
+        )
+        return cls(description, arrays, acting, parameters, spec, notices)
+
+
+def _prepared_spec(config: EnvConfig) -> EnvSpec:
+    env = chosen_env(config)
+    prepared = env.entry.prepare(build(env.entry.config, config.args, "env.args", config.id))
+    with closing(env.entry.make(prepared, 1)) as one:
+        return one.spec
+
+
+def _origin(record: RunRecord, mapping: dict[str, Any], iteration: int) -> dict[str, Any]:
+    versions = {key: record.tags[key] for key in ("version.headway", "git.revision") if key in record.tags}
+    return {
+        "run": record.run_id,
+        "study": record.study,
+        "seed": record.seed,
+        "iteration": iteration,
+        "algorithm": record.algorithm,
+        "algo": mapping["algo"],
+        "env": mapping["env"],
+        **versions,
+    }

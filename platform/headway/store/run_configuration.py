@@ -1,0 +1,65 @@
+"""The configuration in a run's folder, in the form of this version."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from headway.config.experiment import without_password
+from headway.contracts.errors import HeadwayError
+from headway.registry import algo_entries
+from headway.store.atomic_files import require_regular
+
+_MAX_DEPTH = 100
+"""Most levels of a stored configuration."""
+
+
+def read_configuration(directory: Path) -> dict[str, Any]:
+    """Return the configuration in a run's folder, `upgraded`. Raises HeadwayError if it cannot be read."""
+    import yaml
+
+    path = directory / "config.yaml"
+    require_regular(path)
+    # The C loader is ten times faster, which is noticeable in studies with hundreds of runs.
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        text = path.read_text(encoding="utf-8")
+        _require_shallow(yaml.parse(text, loader))
+        mapping = yaml.load(text, loader)
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        reason = str(error).splitlines()[0]
+        raise HeadwayError(f"{path} cannot be read ({reason}), so the run cannot be used") from error
+    if not isinstance(mapping, dict):
+        raise HeadwayError(f"{path} holds no configuration, so the run cannot be used")
+    return upgraded(mapping)
+
+
+def _require_shallow(events: Iterable[object]) -> None:
+    """Raise ValueError for YAML, as parsing events, so deeply nested that the C loader would crash."""
+    import yaml
+
+    depth = 0
+    for event in events:
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > _MAX_DEPTH:
+            raise ValueError(f"it is nested more than {_MAX_DEPTH} levels deep")
+
+
+def upgraded(mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a configuration stored by an earlier version in the form of this version.
+
+    Hyper-parameters that had no effect are dropped, and newer ones are set to the value that reproduces the
+    old behaviour.
+    """
+    store = mapping.get("store")
+    if isinstance(store, Mapping) and isinstance(uri := store.get("tracking_uri"), str):
+        mapping = {**mapping, "store": {**store, "tracking_uri": without_password(uri)}}
+    backend = mapping.get("backend")
+    if isinstance(backend, Mapping) and "patience_s" in backend:
+        backend = {**backend, "worker_timeout_s": backend["patience_s"]}  # its former name
+        mapping = {**mapping, "backend": {key: backend[key] for key in backend if key != "patience_s"}}
+    algo = mapping.get("algo")
+    entry = algo_entries().get(algo.get("name", "")) if isinstance(algo, Mapping) else None
+    if entry is None or not isinstance(algo, Mapping):
+        return dict(mapping)
+    return {**mapping, "algo": {**getattr(entry.config, "VALUES_BEFORE", {}), **entry.stored(algo)}}

@@ -1,0 +1,351 @@
+"""Policies outside the platform against the rollout worker's; what they refuse; copied and damaged files."""
+
+import io
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from kept_policies import keep_made, keep_run_on
+from numpy.typing import NDArray
+
+from headway.api import Policy, load_policy
+from headway.contracts import (
+    ActionSpace,
+    Box,
+    Discrete,
+    EnvSpec,
+    HeadwayError,
+    MultiDiscrete,
+    Observations,
+    RecurrentPolicy,
+)
+from headway.policies import trained_run
+from headway.policies.files import FORMATS, policy_bytes
+from headway.policies.parity import require_parity
+from headway.policies.stored_spec import spec_json, spec_of
+from headway.policies.trained_run import TrainedRun
+from headway_algos.config import ModelConfig
+
+AGENTS, COPIES, SIZE = 5, 40, 3
+GRU = ModelConfig(hidden=(6,), core="gru", gru_size=4)
+RELU = ModelConfig(hidden=(8, 7), activation="relu")
+BOX = Box((-1.0, -2.0, 0.0), (1.0, 6.0, float("inf")))
+BOUNDED = Box((0.0, -2.0), (1.0, 6.0))
+KINDS: dict[str, tuple[str, ActionSpace, dict[str, Any]]] = {
+    "shared with indices": ("ippo", Discrete(4), {"policies": "shared", "model": ModelConfig(hidden=(8,))}),
+    "groups": ("mappo", Discrete(4), {"policies": "groups", "model": RELU, "precision": "float64"}),
+    "independent": ("ippo", MultiDiscrete((2, 3, 1)), {"policies": "independent", "model": RELU}),
+    "box": ("ippo", BOX, {"policies": "independent"}),
+    "not normalised": ("ippo", BOX, {"policies": "groups", "normalise_observations": False}),
+    "recurrent": ("ippo", Discrete(3), {"policies": "groups", "model": GRU}),
+    "recurrent box": ("ippo", BOX, {"policies": "shared", "model": GRU, "agent_id": False}),
+    "values": ("madqn", Discrete(3), {"policies": "shared"}),
+    "deterministic": ("ddpg", BOUNDED, {"policies": "independent"}),
+}
+Kept = tuple[Path, TrainedRun]
+
+
+def spec_with(space: ActionSpace) -> EnvSpec:
+    return EnvSpec(
+        "made", tuple(f"a{i}" for i in range(AGENTS)), SIZE, space,
+        groups=("x", "y", "x", "z", "x"), has_action_mask=not isinstance(space, Box),
+    )  # fmt: skip
+
+
+def kept(root: Path, kind: str) -> Kept:
+    algorithm, space, settings = KINDS[kind]
+    folder = keep_made(root, algorithm, spec_with(space), **settings)[0]
+    return folder, TrainedRun.read(folder)
+
+
+def observed(space: ActionSpace) -> Observations:
+    draw = np.random.default_rng(0)
+    masks = None
+    if not isinstance(space, Box):
+        options = (space.n,) if isinstance(space, Discrete) else space.nvec
+        masks = draw.random((COPIES, AGENTS, sum(options))) < 0.6
+        for last in np.cumsum(options) - 1:
+            masks[..., last] = True
+    rows = (3 * draw.standard_normal((COPIES, AGENTS, SIZE))).astype(np.float32)
+    return Observations(rows, np.zeros((COPIES, 0), np.float32), np.ones((COPIES, AGENTS), np.bool_), masks)
+
+
+def of_worker(run: TrainedRun, seen: Observations, state: NDArray[Any] | None) -> NDArray[Any]:
+    """Greedy actions of the rollout worker, in the environment's units and within its bounds."""
+    acting, space = run.acting, run.spec.action_space
+    if isinstance(acting, RecurrentPolicy) and state is not None:
+        actions = acting.act_from(run.parameters, seen, state, None)[0]
+    else:
+        actions = acting.act(run.parameters, seen, None)[0]
+    if not isinstance(space, Box):
+        return actions
+    low, high = np.array(space.low), np.array(space.high)
+    bounded = np.isfinite(high - low)
+    with np.errstate(invalid="ignore"):
+        scaled = np.where(bounded, (low + high) / 2 + (high - low) / 2 * actions, actions)
+    return np.clip(scaled, low, high)
+
+
+@pytest.mark.parametrize("form", [*FORMATS, "folder"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_acts_as_the_rollout_worker(kind: str, form: str, tmp_path: Path) -> None:
+    """Also in the hidden states, which are passed on; `require_parity` compares the distributions."""
+    if form == "onnx":
+        pytest.importorskip("onnx")
+        pytest.importorskip("onnxruntime")
+    source, run = kept(tmp_path, kind)
+    if form != "folder":
+        source = tmp_path / f"policy{FORMATS[form].suffix}"
+        source.write_bytes(policy_bytes(form, run.description, run.arrays))
+    policy = load_policy(source)
+    space = run.spec.action_space
+    seen, state = observed(space), None
+    assert (policy.agents, policy.action_space, policy.observation_size) == (run.spec.agents, space, SIZE)
+    for _ in range(3):
+        before = np.zeros((COPIES, AGENTS, policy.hidden_size), np.float32) if state is None else state
+        expected = of_worker(run, seen, before if policy.hidden_size else None)
+        require_parity(policy, run.acting, run.parameters, seen, before if policy.hidden_size else None)
+        actions, state = policy.act(seen.observations, seen.action_masks, state=state)
+        np.testing.assert_allclose(actions, expected, atol=1e-4, rtol=1e-5)
+        assert (state is not None) == (policy.hidden_size > 0)
+        seen = replace(seen, observations=0.5 * seen.observations)
+
+
+@pytest.mark.parametrize("name", ["weight_0", "bias_1", "gru_weight_memory", "gru_bias_memory"])
+def test_a_small_difference_is_found(name: str, tmp_path: Path) -> None:
+    _, run = kept(tmp_path, "recurrent")
+    arrays = {**run.arrays, name: run.arrays[name] + np.float32(1e-3)}
+    (tmp_path / "policy.npz").write_bytes(policy_bytes("npz", run.description, arrays))
+    policy, seen = load_policy(tmp_path / "policy.npz"), observed(run.spec.action_space)
+    state = np.full((COPIES, AGENTS, 4), 0.3, np.float32)
+    with pytest.raises(HeadwayError, match="differs from the rollout workers'"):
+        require_parity(policy, run.acting, run.parameters, seen, state)
+
+
+def test_discrete_actions_are_drawn_from_the_workers_distribution(tmp_path: Path) -> None:
+    folder, run = kept(tmp_path, "shared with indices")
+    draws = 20_000
+    one = observed(run.spec.action_space)
+    rows, masks = one.observations[:1], one.action_masks
+    assert masks is not None
+    many = np.repeat(rows, draws, axis=0), np.repeat(masks[:1], draws, axis=0)
+    actions, _ = load_policy(folder).act(*many, deterministic=False, generator=np.random.default_rng(5))
+    # The worker's probability of an action: that with which it takes it if its inverse is drawn.
+    seen = Observations(
+        many[0], np.zeros((draws, 0), np.float32), np.ones((draws, AGENTS), np.bool_), many[1]
+    )
+    uniforms = np.repeat(np.linspace(0, 1, draws, endpoint=False)[:, None], AGENTS, axis=1)
+    expected, log_probs = run.acting.act(run.parameters, seen, uniforms)
+    for agent in range(AGENTS):
+        for action in range(4):
+            taken = expected[:, agent] == action
+            probability = np.exp(log_probs[taken, agent][0]) if taken.any() else 0.0
+            spread = np.sqrt(probability * (1 - probability) / draws)
+            assert abs((actions[:, agent] == action).mean() - probability) <= 4.5 * spread + 1e-4
+
+
+def test_box_actions_are_drawn_around_the_mean_and_clipped(tmp_path: Path) -> None:
+    folder, run = kept(tmp_path, "box")
+    policy, draws = load_policy(folder), 20_000
+    rows = np.repeat(observed(run.spec.action_space).observations[:1], draws, axis=0)
+    actions, _ = policy.act(rows, deterministic=False, generator=np.random.default_rng(5))
+    low, high = np.array(BOX.low), np.array(BOX.high)
+    assert (actions >= low).all()
+    assert (actions <= high).all()
+    # The second component is scaled to [-2, 6]: four times a Gaussian about the mean, shifted by 2.
+    seen = replace(observed(BOX), observations=rows[:1], alive=np.ones((1, AGENTS), np.bool_))
+    mean = run.acting.act(run.parameters, seen, None)[0][0, :, 1].astype(float)
+    deviation = np.exp(run.parameters["log_std"][:, 1, 0].astype(float))
+    drawn = mean + deviation * np.random.default_rng(6).standard_normal((draws, AGENTS))
+    expected = np.clip(2 + 4 * drawn, -2, 6)
+    np.testing.assert_allclose(actions[..., 1].mean(0), expected.mean(0), atol=0.15)
+    np.testing.assert_allclose(actions[..., 1].std(0), expected.std(0), atol=0.15)
+
+
+@pytest.mark.parametrize("kind", ["values", "deterministic"])
+def test_a_deterministic_policy_has_nothing_to_sample_from(kind: str, tmp_path: Path) -> None:
+    folder, run = kept(tmp_path, kind)
+    seen = observed(run.spec.action_space)
+    with pytest.raises(HeadwayError, match="is deterministic"):
+        load_policy(folder).act(seen.observations, seen.action_masks, deterministic=False)
+
+
+def test_agents_by_name_act_as_in_arrays(tmp_path: Path) -> None:
+    """An absent agent keeps its hidden state; one whose state is removed starts anew."""
+    folder, run = kept(tmp_path, "recurrent")
+    policy, seen = load_policy(folder), observed(run.spec.action_space)
+    assert seen.action_masks is not None
+    rows, masks = seen.observations, seen.action_masks
+    first, state = policy.act(rows[0], masks[0])
+    second, after = policy.act(rows[1], masks[1], state=state)
+    named = dict(zip(policy.agents, rows[0], strict=True)), dict(zip(policy.agents, masks[0], strict=True))
+    chosen, named_state = policy.act(*named)
+    assert chosen == dict(zip(policy.agents, first, strict=True))
+    some = {"a3": rows[1][3], "a0": rows[1][0]}
+    chosen, named_state = policy.act(some, {"a0": masks[1][0], "a3": masks[1][3]}, state=named_state)
+    assert chosen == {"a3": second[3], "a0": second[0]}
+    np.testing.assert_allclose(named_state["a0"], after[0], atol=1e-6)
+    np.testing.assert_allclose(named_state["a1"], state[1], atol=1e-6)
+    del named_state["a1"]
+    _, named_state = policy.act({"a1": rows[0][1]}, {"a1": masks[0][1]}, state=named_state)
+    np.testing.assert_allclose(named_state["a1"], state[1], atol=1e-6)
+
+
+ROWS, MASKS = np.zeros((AGENTS, SIZE)), np.ones((AGENTS, 3), bool)
+WRONG: dict[str, tuple[Callable[[Policy], object], str]] = {
+    "shape": (lambda p: p.act(ROWS[:, :2], MASKS), "observations must be of shape (..., 5, 3), not (5, 2)"),
+    "no mask": (lambda p: p.act(ROWS), "needs the action masks"),
+    "mask's shape": (lambda p: p.act(ROWS, MASKS[:, :2]), "mask must be of shape (5, 3), not (5, 2)"),
+    "nothing allowed": (lambda p: p.act(ROWS, ~MASKS), "mask allows an agent no action"),
+    "state's shape": (lambda p: p.act(ROWS, MASKS, state=np.zeros((5, 3))), "state must be of shape (5, 4)"),
+    "unknown agent": (lambda p: p.act({"b": ROWS[0]}, {"b": MASKS[0]}), "the policy has no agent 'b'"),
+    "agent without mask": (lambda p: p.act({"a0": ROWS[0]}, {}), "mask lacks agent a0"),
+    "agent's shape": (
+        lambda p: p.act({"a0": ROWS[0, :2]}, {"a0": MASKS[0]}),
+        "observations of a0 must be of",
+    ),
+    "mixed": (lambda p: p.act({"a0": ROWS[0]}, MASKS), "mask must be a mapping"),
+}
+
+
+@pytest.fixture(scope="module")
+def recurrent(tmp_path_factory: pytest.TempPathFactory) -> Kept:
+    return kept(tmp_path_factory.mktemp("recurrent"), "recurrent")
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_argument_is_one_line(case: str, recurrent: Kept) -> None:
+    act, line = WRONG[case]
+    with pytest.raises(HeadwayError, match=re.escape(line)):
+        act(load_policy(recurrent[0]))
+
+
+def test_a_mask_or_state_that_the_policy_does_not_have_is_refused(tmp_path: Path) -> None:
+    policy = load_policy(kept(tmp_path, "box")[0])
+    with pytest.raises(HeadwayError, match="no action masks"):
+        policy.act(ROWS, MASKS)
+    with pytest.raises(HeadwayError, match="no hidden state"):
+        policy.act(ROWS, state=np.zeros((AGENTS, 4)))
+
+
+def test_a_file_needs_numpy_only_and_says_where_it_is_from(recurrent: Kept, tmp_path: Path) -> None:
+    _, run = recurrent
+    (tmp_path / "policy.npz").write_bytes(policy_bytes("npz", run.description, run.arrays))
+    code = (
+        "import sys, numpy as np; from headway.api import load_policy; p = load_policy('policy.npz'); "
+        f"p.act(np.zeros(({AGENTS}, {SIZE})), np.ones(({AGENTS}, 3)), deterministic=False); "
+        "heavy = ('torch', 'numba', 'yaml', 'psutil', 'headway_algos', 'headway_envs', 'pandas'); "
+        "print([name for name in heavy if name in sys.modules]); "
+        "print(*[p.origin[k] for k in ('algorithm', 'iteration', 'seed', 'version.headway', 'git.revision')])"
+    )
+    shown = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert shown.stdout.splitlines() == ["[]", "ippo 5 7 0.1.0 abc"]
+
+
+def test_a_copied_folder_needs_no_store(recurrent: Kept, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(recurrent[0], copy)
+    assert load_policy(copy).origin == load_policy(str(recurrent[0])).origin
+
+
+def test_a_run_that_did_not_store_its_specification_prepares_the_environment(tmp_path: Path) -> None:
+    folder = keep_run_on(tmp_path, ["env=visitors", "algo=ippo"])
+    before = load_policy(folder).description
+    plan = json.loads((folder / "plan.json").read_text())
+    del plan["spec"]
+    (folder / "plan.json").write_text(json.dumps(plan))
+    assert load_policy(folder).description == before
+
+
+@pytest.mark.parametrize("space", [Discrete(3), MultiDiscrete((2, 4)), BOX])
+def test_a_stored_specification_is_the_same_when_read(space: ActionSpace) -> None:
+    text = json.dumps(spec_json(spec_with(space)), allow_nan=False)
+    assert spec_of(json.loads(text)) == spec_with(space)
+
+
+def _foreign_npz() -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, weights=np.zeros(3))
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".onnx", ".pt"])
+@pytest.mark.parametrize("damage", ["truncated", "text", "empty", "foreign", "a byte"])
+def test_a_damaged_or_foreign_file_is_one_line(
+    damage: str, suffix: str, recurrent: Kept, tmp_path: Path
+) -> None:
+    if suffix == ".onnx":
+        pytest.importorskip("onnxruntime")
+    form = next(name for name, form in FORMATS.items() if form.suffix == suffix)
+    whole = policy_bytes(form, recurrent[1].description, recurrent[1].arrays)
+    if damage == "a byte" and suffix != ".npz":
+        pytest.skip("only npz has checksums of its contents")
+    middle = len(whole) // 2
+    contents = {
+        "truncated": whole[: len(whole) // 2],
+        "text": b"no policy",
+        "empty": b"",
+        "foreign": _foreign_npz(),
+        "a byte": whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :],
+    }
+    path = tmp_path / f"policy{suffix}"
+    path.write_bytes(contents[damage])
+    with pytest.raises(HeadwayError, match="is damaged or is no policy") as caught:
+        load_policy(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_array_of_another_shape_is_damage(recurrent: Kept, tmp_path: Path) -> None:
+    _, run = recurrent
+    arrays = {**run.arrays, "bias_1": run.arrays["bias_1"][:, :2]}
+    (tmp_path / "policy.npz").write_bytes(policy_bytes("npz", run.description, arrays))
+    with pytest.raises(HeadwayError, match="is damaged"):
+        load_policy(tmp_path / "policy.npz")
+
+
+def test_what_is_no_policy_is_one_line(recurrent: Kept, tmp_path: Path) -> None:
+    with pytest.raises(HeadwayError, match="is not the folder of a run"):
+        load_policy(tmp_path)
+    with pytest.raises(HeadwayError, match="must be a run's folder or a file ending in"):
+        load_policy(tmp_path / "policy.zip")
+    with pytest.raises(HeadwayError, match="there is no file"):
+        load_policy(tmp_path / "policy.npz")
+    copy = tmp_path / "copy"
+    shutil.copytree(recurrent[0], copy)
+    plan = json.loads((copy / "plan.json").read_text())
+    for wrong in ({**plan, "spec": {}}, {**plan, "stack": [1]}, {**plan, "stack": None}):
+        (copy / "plan.json").write_text(json.dumps(wrong))
+        with pytest.raises(HeadwayError, match=r"plan\.json is damaged"):
+            load_policy(copy)
+    (copy / "plan.json").write_text(json.dumps(plan))
+    shutil.rmtree(copy / "checkpoints")
+    with pytest.raises(HeadwayError, match="there is no checkpoint"):
+        load_policy(copy)
+
+
+def test_a_policy_that_does_not_describe_itself_is_one_line(
+    recurrent: Kept, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entry, config = trained_run.chosen_algo({"name": "ippo"})
+    other = replace(entry, acting_policy=lambda config, spec: object())
+    monkeypatch.setattr(trained_run, "chosen_algo", lambda mapping: (other, config))
+    with pytest.raises(HeadwayError, match="policies of ippo cannot be exported: its acting policy does not"):
+        load_policy(recurrent[0])
+
+
+def test_a_policy_that_splits_later_acts_with_one_network_per_agent(tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"policies": "independent", "shared_until": 0.5}
+    folder = keep_made(tmp_path, "ippo", spec_with(Discrete(3)), **settings)[0]
+    run, seen = TrainedRun.read(folder), observed(Discrete(3))
+    assert run.description.network.policy_of_agent == (0, 1, 2, 3, 4)
+    require_parity(load_policy(folder), run.acting, run.parameters, seen, None)
