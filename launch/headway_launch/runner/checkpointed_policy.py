@@ -38,7 +38,7 @@ def newest_policy(run: StoredRun, environment: PreparedEnv) -> TrainedPolicy:
     policy = experiment.algo.acting_policy(experiment.algo_config, spec)
     env, seed = environment.entry, run.record.seed
     iteration, parameters, notices = newest_parameters(
-        run.directory, policy, seed, run.stack, experiment.config.env.id
+        run.directory, policy, seed, run.plan.stack, experiment.config.env.id
     )
     for line in notices:
         print(f"headway: {line}", file=sys.stderr)

@@ -9,9 +9,9 @@ from typing import Any
 
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
-from headway.store.atomic_files import read_json
 from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import RunRecord, find_run
+from headway.store.run_plan import RunPlan
 from headway_launch.experiments.compose import Experiment, PreparedEnv, resolve
 from headway_launch.experiments.parameters import identity
 from headway_launch.runner.jobs import PlannedJob
@@ -19,21 +19,12 @@ from headway_launch.runner.jobs import PlannedJob
 
 @dataclass(frozen=True)
 class StoredRun:
-    """One run folder: its record, its configuration and the seeds trained in its stack."""
+    """One run folder: its record, its configuration and its plan."""
 
     directory: Path
     record: RunRecord
     mapping: dict[str, Any]
-    stack: tuple[int, ...]
-    workers: int | None
-    """Number of rollout workers, each of which has a part in the checkpoint; None if the run's plan lacks
-    it."""
-    block: int | None = None
-    """Environment copies whose actions are computed together, possibly fewer than configured; None if the
-    run's plan lacks the number."""
-    scaled_actions: bool = True
-    """Whether policies act in the units of `EnvSpec.for_policies`; False for runs of earlier versions, whose
-    policies act in the environment's units."""
+    plan: RunPlan
 
     @classmethod
     def find(cls, root: Path, run_id: str) -> "StoredRun":
@@ -49,11 +40,7 @@ class StoredRun:
         mapping = read_configuration(directory)
         # The store may have been moved since the run was written.
         mapping["store"] = {**mapping.get("store", {}), "root": str(root)}
-        plan = read_json(directory / "plan.json")
-        stack = tuple(int(seed) for seed in plan["stack"])
-        block = plan.get("rollout", {}).get("block")
-        scaled = bool(plan.get("scaled_actions", False))
-        return cls(directory, RunRecord.read(directory), mapping, stack, plan.get("workers"), block, scaled)
+        return cls(directory, RunRecord.read(directory), mapping, RunPlan.read(directory))
 
     @property
     def configuration(self) -> str:
@@ -76,7 +63,7 @@ class StoredRun:
 
     def policy_spec(self, environment: PreparedEnv) -> EnvSpec:
         """Return the environment's specification, with actions in the units of this run's policies."""
-        return environment.spec.for_policies if self.scaled_actions else environment.spec
+        return environment.spec.for_policies if self.plan.scaled_actions else environment.spec
 
 
 def jobs_to_resume(
@@ -104,7 +91,7 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
     experiment = resolve({**first.mapping, "seed": seeds})
     environment = experiment.prepare(known)
     by_seed = {run.record.seed: run for run in runs}
-    stacks = list(dict.fromkeys(run.stack for run in runs))
+    stacks = list(dict.fromkeys(run.plan.stack for run in runs))
     jobs = []
     for stack in stacks:
         missing = [seed for seed in stack if seed not in by_seed]
@@ -115,10 +102,11 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
             )
         run_ids = tuple(by_seed[seed].record.run_id for seed in stack)
         iteration = min(by_seed[seed].record.durable_iteration for seed in stack)
-        planned = by_seed[stack[0]]
+        first_of = by_seed[stack[0]]
+        plan, spec = first_of.plan, first_of.policy_spec(environment)
         config = experiment.config
-        if planned.block is not None:
-            config = replace(config, rollout=replace(config.rollout, block=planned.block))
-        job = PlannedJob.of(experiment, config, environment, planned.policy_spec(environment), stack)
-        jobs.append(replace(job, resumed=run_ids, iteration=iteration, workers=planned.workers))
+        if plan.block is not None:
+            config = replace(config, rollout=replace(config.rollout, block=plan.block))
+        job = PlannedJob.of(experiment, config, environment, spec, stack)
+        jobs.append(replace(job, resumed=run_ids, iteration=iteration, workers=plan.workers))
     return tuple(jobs)

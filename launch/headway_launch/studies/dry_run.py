@@ -78,7 +78,9 @@ def _as_finished_runs(progress: StudyProgress, cell: CellPlan) -> list[Expectati
     """
     host, stacks = Process.current().host, {len(job.seeds) for job in cell.jobs}
     runs = [
-        run for run in progress.finished if run.record.session.host == host and {len(run.stack)} == stacks
+        run
+        for run in progress.finished
+        if run.record.session.host == host and {len(run.plan.stack)} == stacks
     ]
     if not runs:
         return []

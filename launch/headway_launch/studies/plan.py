@@ -95,7 +95,7 @@ class StudyProgress:
 
     def _require_same_units(self, spec: EnvSpec) -> None:
         """Raise HeadwayError if seeds to train would act in other units than seeds of an earlier version."""
-        earlier = [run for run in (*self.finished, *self.unfinished) if not run.scaled_actions]
+        earlier = [run for run in (*self.finished, *self.unfinished) if not run.plan.scaled_actions]
         if earlier and spec.for_policies != spec:
             raise HeadwayError(
                 f"study {self.experiment.config.study} holds seeds of an earlier version, whose policies act "
@@ -105,8 +105,8 @@ class StudyProgress:
     def _require_whole_stacks(self) -> None:
         there = {run.record.seed for run in self.unfinished}
         for run in self.unfinished:
-            if not there.issuperset(run.stack):
-                seeds = ",".join(map(str, run.stack))
+            if not there.issuperset(run.plan.stack):
+                seeds = ",".join(map(str, run.plan.stack))
                 raise HeadwayError(
                     f"seeds {seeds} were trained in one stack and resume together only: sweep seed={seeds}, "
                     f"or headway resume --study {self.experiment.config.study}"
@@ -115,14 +115,14 @@ class StudyProgress:
 
 def _keep_stacks_whole(finished: list[StoredRun], unfinished: list[StoredRun], new: list[int]) -> None:
     """Move runs between the lists so that all seeds of a stack resume together or start anew together."""
-    for stack in {run.stack for run in unfinished}:
+    for stack in {run.plan.stack for run in unfinished}:
         # A session killed while it started a stack leaves seeds without a run: train them all anew.
         if not set(stack).isdisjoint(new):
-            new += [run.record.seed for run in unfinished if run.stack == stack]
-            unfinished[:] = [run for run in unfinished if run.stack != stack]
+            new += [run.record.seed for run in unfinished if run.plan.stack == stack]
+            unfinished[:] = [run for run in unfinished if run.plan.stack != stack]
             continue
         # A session killed while it ended a stack leaves some of its seeds finished: resume these too.
-        ended = [run for run in finished if run.record.seed in stack and run.stack == stack]
+        ended = [run for run in finished if run.record.seed in stack and run.plan.stack == stack]
         unfinished += ended
         finished[:] = [run for run in finished if run not in ended]
 

@@ -12,10 +12,10 @@ from headway.contracts import DescribedPolicy, EnvSpec, HeadwayError
 from headway.environments import chosen_env
 from headway.policies.description import Arrays, PolicyDescription
 from headway.policies.stored_spec import spec_of
-from headway.store.atomic_files import read_json
 from headway.store.checkpoint import newest_parameters
 from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import RunRecord
+from headway.store.run_plan import PLAN, RunPlan
 
 
 @dataclass(frozen=True)
@@ -44,27 +44,22 @@ class TrainedRun:
         """
         if not (folder / "config.yaml").exists():
             raise HeadwayError(f"{folder} is not the folder of a run: it has no config.yaml")
-        mapping, plan, record = (
-            read_configuration(folder),
-            read_json(folder / "plan.json"),
-            RunRecord.read(folder),
-        )
+        mapping, plan, record = read_configuration(folder), RunPlan.read(folder), RunRecord.read(folder)
         algo, algo_config = chosen_algo(build(ExperimentConfig, {"algo": mapping.get("algo", {})}).algo)
         env = build(ExperimentConfig, {"env": mapping.get("env", {})}).env
         try:
-            stack = [int(seed) for seed in plan["stack"]]
-            spec = spec_of(plan["spec"]) if "spec" in plan else _prepared_spec(env)
-            stack.index(record.seed)
-        except (KeyError, TypeError, ValueError) as error:
-            raise HeadwayError(f"{folder / 'plan.json'} is damaged ({error}): restore it") from error
-        policy_spec = spec.for_policies if plan.get("scaled_actions") else spec
+            spec = _prepared_spec(env) if plan.spec is None else spec_of(plan.spec)
+            plan.stack.index(record.seed)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise HeadwayError(f"{folder / PLAN} is damaged ({error}): restore it") from error
+        policy_spec = spec.for_policies if plan.scaled_actions else spec
         acting = algo.acting_policy(algo_config, policy_spec)
         if not isinstance(acting, DescribedPolicy):
             raise HeadwayError(
                 f"policies of {record.algorithm} cannot be exported: its acting policy does not describe its "
                 "network, as headway.api.DescribedPolicy does"
             )
-        iteration, parameters, notices = newest_parameters(folder, acting, record.seed, stack, env.id)
+        iteration, parameters, notices = newest_parameters(folder, acting, record.seed, plan.stack, env.id)
         arrays = {name: parameters[name] for name in acting.network.array_names}
         description = PolicyDescription(
             spec.agents,

@@ -28,6 +28,7 @@ from headway.store.run_folder import (
     now,
     rules_file,
 )
+from headway.store.run_plan import PLAN
 from headway.store.tracking.cells import CellSummary, send_cell
 from headway.store.tracking.sync import RunSync, has_unsent, send_unsent
 from headway.store.tracking.thread import TrackingThread, TrackingUpdate
@@ -188,7 +189,7 @@ class Cell:
             curve_points=self._store.curve_points,
         )
         write_text(directory / "config.yaml", config_yaml)
-        write_json(directory / "plan.json", plan)
+        write_json(directory / PLAN, plan)
         record.write(directory)
         return Run(self._store, directory, record, open_gate(directory))
 
