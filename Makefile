@@ -89,7 +89,7 @@ robustness: $(COMPILED) ## give faults of many kinds and count how they end: ARG
 benchmarks: $(COMPILED) ## measure the speed of this machine's installation
 	@$(BIN)/python -m benchmarks $(ARGS)
 
-docs: $(STAMP) ## build this documentation as a site, docs/_build/index.html; a warning is an error
+docs: $(STAMP) ## build the documentation as a site, docs/_build/index.html; a warning is an error
 	@$(BIN)/python -m sphinx -q -E -a -W --keep-going docs docs/_build $(ARGS)
 	@echo "open docs/_build/index.html"
 

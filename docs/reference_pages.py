@@ -74,9 +74,11 @@ def _environment(name: str) -> str:
     entry = env_entries()[name]
     rules = {f"`{rule}`": found.summary for rule, found in rules_of(name).items()}
     metrics = {f"`{metric}`": text for metric, text in metrics_of(name).items()}
+    described = (Path(__file__).parent / "environments" / f"{name}.md").is_file()
     parts = [
         f"# `{name}`",
         _sentence(entry.summary),
+        f"[What agents observe, do and are rewarded for](../../environments/{name}.md)." if described else "",
         "## Arguments",
         _keys(describe(entry.config, "env.args")),
     ]
