@@ -16,7 +16,7 @@ BIN := $(VENV)/bin
 COMPILED := envs/headway_envs/__pycache__/.compiled
 KERNELS := $(wildcard platform/headway/contracts/numba_setup.py algos/headway_algos/kernels/*.py \
 	envs/headway_envs/*.py envs/headway_envs/*/kernel.py envs/headway_envs/*/kernel/*.py)
-SOURCES := platform envs algos launch tests
+SOURCES := platform envs algos launch docs tests
 # What runs import, a sixth of what is installed: compiled once for all processes. pip would compile everything.
 IMPORTED := import codecarbon, hydra, matplotlib.pyplot, mlflow.tracking, pandas, pyarrow.parquet, rich, scipy.stats, supersuit, torch
 PIP_INSTALL = $(BIN)/python -m pip install --quiet --no-compile $(PIP_ARGS) -c constraints.txt
@@ -25,7 +25,7 @@ WARM_UP := $(BIN)/python -m headway_launch.runner.warm_up
 PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
-.PHONY: help setup experiment sweep test check lint format types robustness benchmarks notebooks browse clean
+.PHONY: help setup experiment sweep test check lint format types robustness benchmarks docs notebooks browse clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -91,6 +91,10 @@ robustness: $(COMPILED) ## give faults of many kinds and count how they end: ARG
 benchmarks: $(COMPILED) ## measure the speed of this machine's installation
 	@$(BIN)/python -m benchmarks $(ARGS)
 
+docs: $(STAMP) ## build the documentation as a site, docs/_build/index.html; a warning is an error
+	@$(BIN)/python -m sphinx -q -E -a -W --keep-going docs docs/_build $(ARGS)
+	@echo "open docs/_build/index.html"
+
 notebooks: $(COMPILED) ## open the notebooks in JupyterLab; the first one trains a small study
 	@$(BIN)/jupyter lab --notebook-dir=notebooks $(ARGS)
 
@@ -98,5 +102,5 @@ browse: $(STAMP) ## serve studies, reports and runs as web pages
 	@$(BIN)/headway browse $(ARGS)
 
 clean: ## remove the virtual environment and caches; runs are kept
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache build dist
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache build dist docs/_build docs/reference
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

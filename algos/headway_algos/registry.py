@@ -109,6 +109,7 @@ ENTRIES = {
     name: entry(recipe) if isinstance(recipe, Recipe) else replay_entry(recipe)
     for name, recipe in sorted(recipes().items())
 }
+"""Every algorithm of Headway by name."""
 
 
 def configure(name: str, **settings: Any) -> Any:  # noqa: ANN401 - any record

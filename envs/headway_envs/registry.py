@@ -14,3 +14,4 @@ ENTRIES: dict[str, EnvEntry] = {
     **MERGES,
     **TOYS,
 }
+"""Every environment of Headway by name."""

@@ -55,7 +55,7 @@ class TransferCost:
 
 @dataclass(frozen=True)
 class Growth:
-    """Model of an iteration's duration on one node, by the formula of CLUSTERS.md."""
+    """Model of an iteration's duration on one node, by the formula of docs/howto/clusters.md."""
 
     steps: int
     """Environment steps per iteration."""

@@ -1,4 +1,4 @@
-"""The guide to external packages: its files are created, and its commands print what it shows."""
+"""The how-to pages on external packages: their files are created, and their commands print what they show."""
 
 import os
 import re
@@ -15,7 +15,8 @@ from headway.store.index import RunIndex, RunRow
 pytestmark = pytest.mark.slow
 
 PROJECT = Path(__file__).resolve().parents[2]
-GUIDE = (PROJECT / "launch" / "EXTENDING.md").read_text(encoding="utf-8")
+PAGES = ("package", "environment", "algorithm", "wrapper")
+GUIDE = "\n".join((PROJECT / "docs" / "howto" / f"{page}.md").read_text(encoding="utf-8") for page in PAGES)
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _MARK = "-- exit code"
 _IN_ONE_PROCESS = f"""

@@ -37,7 +37,7 @@ def test_bad_numbers_are_one_line(
 
 
 def test_the_peer_has_the_settings_of_the_experiment() -> None:
-    """The settings behind the results in ALGORITHMS.md."""
+    """The settings behind the results in docs/design/algorithms.md."""
     experiment = spread_peer.spread_experiment()
     assert dict(experiment.config.env.args) == {"N": 3, "max_cycles": 25, "local_ratio": 0.5}
     assert experiment.config.rollout.copies == 20

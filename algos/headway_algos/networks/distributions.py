@@ -153,3 +153,4 @@ class DiagonalGaussian:
 
 
 Distribution = MaskedCategorical | CategoricalProduct | DiagonalGaussian
+"""Action distribution of a stack of policies, by the kind of action space."""

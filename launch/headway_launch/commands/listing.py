@@ -57,7 +57,7 @@ def _list_envs(name: str | None) -> None:
     if name is None:
         summaries = {key: entry.summary for key, entry in env_entries().items()}
         summaries |= {option: summary_of("env", option) for option in _file_only_envs()}
-        rows = [(key, summary, ", ".join(_rules(key))) for key, summary in summaries.items()]
+        rows = [(key, summary, ", ".join(rules_of(key))) for key, summary in summaries.items()]
         print_table(("environment", "description", "rules"), rows)
         print_line("PettingZoo environments are chosen by their module, such as env=mpe2.simple_spread_v3")
     elif name in _file_only_envs():
@@ -71,6 +71,14 @@ def _list_algos(name: str | None) -> None:
         described = [(key, entry.summary, entry.source) for key, entry in algo_entries().items()]
         print_table(("algorithm", "description", "source"), described)
         return
+    _print_descriptions(algorithm_keys(name))
+
+
+def algorithm_keys(name: str) -> list[FieldDescription]:
+    """Return the keys of `algo` that an algorithm reads, and those of `rollout` with its defaults.
+
+    Raises HeadwayError if there is no such algorithm.
+    """
     entry = algo_entry(name)
     keys = list(describe(entry.config, "algo"))
     if all(key.default != "required" for key in keys):
@@ -79,7 +87,7 @@ def _list_algos(name: str | None) -> None:
             replace(key, default=str(own.get(key.key.removeprefix("rollout."), key.default)))
             for key in describe(RolloutConfig, "rollout")
         ]
-    _print_descriptions(keys)
+    return keys
 
 
 def _list_wrappers(name: str | None) -> None:
@@ -118,16 +126,18 @@ def _registered_id(name: str) -> str | None:
     return own if own in env_entries() else None
 
 
-def _rules(name: str) -> Mapping[str, RuleEntry]:
+def rules_of(name: str) -> Mapping[str, RuleEntry]:
     """Return the rules of an environment or configuration file; only `random` for a PettingZoo module."""
     own = _registered_id(name)
     return {"random": RANDOM} if own is None else env_entry(own).rules
 
 
-def _metrics(name: str) -> Mapping[str, str]:
-    """Return the metrics of an environment or configuration file; none for a PettingZoo module."""
+def metrics_of(name: str) -> Mapping[str, str]:
+    """Return the episode metrics that an environment or configuration file describes, those of every
+    environment included; none if it describes none, as a PettingZoo module."""
     own = _registered_id(name)
-    return {} if own is None else env_entry(own).metrics
+    metrics = {} if own is None else env_entry(own).metrics
+    return {**_COMMON_METRICS, **metrics} if metrics else {}
 
 
 def _names(name: str | None) -> list[str]:
@@ -136,14 +146,14 @@ def _names(name: str | None) -> list[str]:
 
 
 def _list_rules(name: str | None) -> None:
-    rows = [(env, rule, entry.summary) for env in _names(name) for rule, entry in _rules(env).items()]
+    rows = [(env, rule, entry.summary) for env in _names(name) for rule, entry in rules_of(env).items()]
     print_table(("environment", "rule", "description"), rows, whole=("rule",))
 
 
 def _list_metrics(name: str | None) -> None:
-    described = {key: {**_COMMON_METRICS, **metrics} for key in _names(name) if (metrics := _metrics(key))}
+    described = {key: metrics for key in _names(name) if (metrics := metrics_of(key))}
     if not described:
-        describing = ", ".join(key for key in _names(None) if _metrics(key))
+        describing = ", ".join(key for key in _names(None) if metrics_of(key))
         raise HeadwayError(
             f"{name} does not describe its metrics: its EnvEntry needs `metrics`; "
             f"environments that do: {describing}"

@@ -26,48 +26,51 @@ examples:
 
 
 @dataclass(frozen=True)
-class _Command:
+class Command:
+    """A command of `headway`, or one of its subcommands."""
+
     summary: str
     module: str
     only_prints: bool = True
     """Whether a closed output pipe ends the command; False for commands that train."""
-    parts: "Mapping[str, _Command]" = field(default_factory=dict)
+    parts: "Mapping[str, Command]" = field(default_factory=dict)
     """Subcommands by name; `module` is then a package with EXAMPLES."""
 
 
-_COMMANDS = {
-    "run": _Command("train all seeds of an experiment", "run", only_prints=False),
-    "sweep": _Command(
+COMMANDS = {
+    "run": Command("train all seeds of an experiment", "run", only_prints=False),
+    "sweep": Command(
         "train every combination of values and seeds that is not in the store", "sweep", only_prints=False
     ),
-    "search": _Command(
+    "search": Command(
         "run the hyper-parameter search defined in configs/search/NAME.yaml", "search", only_prints=False
     ),
-    "resume": _Command("continue runs that were stopped, killed or failed", "resume", only_prints=False),
-    "runs": _Command("list the runs in the store", "runs"),
-    "diff": _Command("compare the settings and results of two runs", "diff"),
-    "evaluate": _Command("evaluate a trained policy and the classical rules", "evaluate"),
-    "export": _Command("write a trained policy as npz, ONNX or TorchScript file", "export"),
-    "compare": _Command("compare a study's cells and the rules on the same episodes", "compare"),
-    "plot": _Command("plot a study's learning curves", "plot"),
-    "render": _Command("render an episode of a policy or a rule as GIF or PNG", "render"),
-    "report": _Command("write a study's report: one page with tables and plots", "report"),
-    "browse": _Command("browse studies, reports and runs in a web browser", "browse"),
-    "sync": _Command("send run data that MLflow lacks", "sync"),
-    "data": _Command(
+    "resume": Command("continue runs that were stopped, killed or failed", "resume", only_prints=False),
+    "runs": Command("list the runs in the store", "runs"),
+    "diff": Command("compare the settings and results of two runs", "diff"),
+    "evaluate": Command("evaluate a trained policy and the classical rules", "evaluate"),
+    "export": Command("write a trained policy as npz, ONNX or TorchScript file", "export"),
+    "compare": Command("compare a study's cells and the rules on the same episodes", "compare"),
+    "plot": Command("plot a study's learning curves", "plot"),
+    "render": Command("render an episode of a policy or a rule as GIF or PNG", "render"),
+    "report": Command("write a study's report: one page with tables and plots", "report"),
+    "browse": Command("browse studies, reports and runs in a web browser", "browse"),
+    "sync": Command("send run data that MLflow lacks", "sync"),
+    "data": Command(
         "create, describe, plot and validate scenarios of the bus environment",
         "data",
         parts={
-            "synthetic": _Command("write a synthetic scenario", "data.synthetic"),
-            "gtfs": _Command("write a scenario from a GTFS feed", "data.gtfs"),
-            "sunt": _Command("write a scenario from SUNT's raw files", "data.sunt"),
-            "describe": _Command("show lines, fleet, headways and demand of a scenario", "data.describe"),
-            "plot": _Command("plot a map of a scenario with loads and headways", "data.plot"),
-            "realism": _Command("compare simulated days with measured data", "data.realism"),
+            "synthetic": Command("write a synthetic scenario", "data.synthetic"),
+            "gtfs": Command("write a scenario from a GTFS feed", "data.gtfs"),
+            "sunt": Command("write a scenario from SUNT's raw files", "data.sunt"),
+            "describe": Command("show lines, fleet, headways and demand of a scenario", "data.describe"),
+            "plot": Command("plot a map of a scenario with loads and headways", "data.plot"),
+            "realism": Command("compare simulated days with measured data", "data.realism"),
         },
     ),
-    "list": _Command("list environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),
+    "list": Command("list environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),
 }
+"""Every command by name."""
 _ONE_THREAD = ("run", "sweep", "search", "resume", "evaluate", "export", "compare", "render")
 """Commands whose numerical libraries use one thread, because parallel processes fill the machine."""
 
@@ -123,7 +126,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _only_prints(words: Sequence[str]) -> bool:
-    command = _COMMANDS.get(words[0]) if words else None
+    command = COMMANDS.get(words[0]) if words else None
     if command is not None and len(words) > 1:
         command = command.parts.get(words[1], command)
     return command is None or command.only_prints or not {"-h", "--help", "--dry-run"}.isdisjoint(words)
@@ -131,7 +134,7 @@ def _only_prints(words: Sequence[str]) -> bool:
 
 def _dispatch(words: Sequence[str], debug: bool) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
-        parser = _group_parser("headway", _ABOUT, _COMMANDS, _EXAMPLES)
+        parser = _group_parser("headway", _ABOUT, COMMANDS, _EXAMPLES)
         parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
         parser.add_argument("--version", action="store_true", help="show the version")
         parser.print_help()
@@ -142,9 +145,9 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
         print(f"headway {version('headway')}")
         return 0
     name = words[0]
-    if name not in _COMMANDS:
-        raise HeadwayError(f"unknown command {name!r}; {suggestion(name, _COMMANDS, 'headway ')}")
-    command = _COMMANDS[name]
+    if name not in COMMANDS:
+        raise HeadwayError(f"unknown command {name!r}; {suggestion(name, COMMANDS, 'headway ')}")
+    command = COMMANDS[name]
     rest = words[1:]
     if command.parts:
         if not rest or rest[0] in ("-h", "--help", "help"):
@@ -174,16 +177,16 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
     return code
 
 
-def _module_of(command: _Command) -> ModuleType:
+def _module_of(command: Command) -> ModuleType:
     return import_module(f"headway_launch.commands.{command.module}")
 
 
-def _description(command: _Command) -> str:
+def _description(command: Command) -> str:
     return command.summary[0].upper() + command.summary[1:] + "."
 
 
 def _group_parser(
-    name: str, description: str, commands: Mapping[str, _Command], examples: str
+    name: str, description: str, commands: Mapping[str, Command], examples: str
 ) -> argparse.ArgumentParser:
     """Return the parser that shows the help of a group of commands."""
     listed = "".join(f"  {each:<11}{command.summary}\n" for each, command in commands.items())

@@ -78,6 +78,7 @@ class Box:
 
 
 ActionSpace = Discrete | MultiDiscrete | Box
+"""The action spaces that an environment may have."""
 
 
 def allows_action(space: ActionSpace, masks: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -12,13 +12,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import headway_envs.bus.scenario
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepare import prepare
 from headway_envs.bus.scenario.network import build
 from headway_envs.bus.scenario.synthetic import generate
 from headway_envs.bus.scenario.tables import COLUMNS, Tables, check_tables, read_tables, write_tables
+
+PROJECT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(scope="module")
@@ -188,7 +189,7 @@ def test_wrong_meta_data_are_named(tables: Tables, meta: dict[str, object], mess
 
 
 def test_the_page_of_the_format_names_every_table_and_column() -> None:
-    page = (Path(headway_envs.bus.scenario.__file__).parent / "FORMAT.md").read_text()
+    page = (PROJECT / "docs" / "formats" / "scenario.md").read_text(encoding="utf-8")
     sections = {part.split("\n", 1)[0]: part for part in page.split("\n## ")[1:]}
     tables = {name for name in sections if name.startswith("`")}
     assert tables == {f"`{name}`" for name in COLUMNS}

@@ -105,7 +105,7 @@ class Tables:
     trips: pd.DataFrame
     meta: dict[str, Any] = field(default_factory=dict)
     """`source`, `licence`; `service_centres`: list of [lat, lon]; `link_times_include_dwell`: bool; others as
-    in FORMAT.md."""
+    in docs/formats/scenario.md."""
 
 
 def read_tables(folder: str | Path) -> Tables:

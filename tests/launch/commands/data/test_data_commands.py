@@ -143,7 +143,7 @@ def test_the_command_that_is_recommended_has_the_values_of_the_study_of_such_net
 def test_the_guide_continues_with_the_commands_that_are_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    lines = (PROJECT / "docs" / "guide.md").read_text(encoding="utf-8").splitlines()
+    lines = (PROJECT / "docs" / "guide" / "everyday_use.md").read_text(encoding="utf-8").splitlines()
     commands = [line.split("#")[0].strip() for line in lines if line.startswith("    headway ")]
     [create] = [place for place, command in enumerate(commands) if " data synthetic " in command]
     monkeypatch.chdir(tmp_path)
