@@ -15,6 +15,7 @@ from headway.registry import (
     algo_entry,
     env_entries,
     env_entry,
+    is_external,
     wrapper_entries,
     wrapper_entry,
 )
@@ -27,6 +28,8 @@ examples:
   headway list envs            all environments
   headway list envs bus        arguments of one environment (env.args.KEY=VALUE)
   headway list envs mpe2.simple_spread_v3      arguments of a PettingZoo environment, by its module
+  headway list envs ./shuttle.py               or by its file
+  headway list envs gymnasium:CartPole-v1      arguments of a Gymnasium environment
   headway list wrappers        all wrappers (env.wrappers='[{name: frame_stack_v1, stack_size: 4}]')
   headway list algos mappo     hyper-parameters of one algorithm (algo.KEY=VALUE)
   headway list rules bus       classical rules of one environment
@@ -59,7 +62,10 @@ def _list_envs(name: str | None) -> None:
         summaries |= {option: summary_of("env", option) for option in _file_only_envs()}
         rows = [(key, summary, ", ".join(_rules(key))) for key, summary in summaries.items()]
         print_table(("environment", "description", "rules"), rows)
-        print_line("PettingZoo environments are chosen by their module, such as env=mpe2.simple_spread_v3")
+        print_line(
+            "others are chosen by their PettingZoo module (env=mpe2.simple_spread_v3), Python file "
+            "(env=./shuttle.py) or Gymnasium id (env=gymnasium:CartPole-v1)"
+        )
     elif name in _file_only_envs():
         _list_group("env")(name)
     else:
@@ -95,8 +101,8 @@ def _list_wrappers(name: str | None) -> None:
 
 
 def _require_env(name: str) -> str:
-    """Return `name`. Raises HeadwayError if it is neither an environment nor a module path."""
-    if "." in name or name in _names(None):
+    """Return `name`. Raises HeadwayError if it is neither an environment nor leads to one's code."""
+    if is_external(name) or name in _names(None):
         return name
     raise HeadwayError(f"unknown environment {name!r}; {suggestion(name, _names(None))}")
 

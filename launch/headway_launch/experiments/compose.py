@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from headway.adapters.env_file import absolute_id
 from headway.config.experiment import NO_PRESET, ExperimentConfig
 from headway.config.schema import (
     build,
@@ -24,7 +25,7 @@ from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError, UnknownKeyError
 from headway.environments import chosen_env, notices_of
-from headway.registry import algo_entries, algo_entry, is_module_path, wrapper_entry
+from headway.registry import algo_entries, algo_entry, is_external, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
 from headway_launch.console.output import print_line, prints_to_stderr
 from headway_launch.experiments.options import NO_ENV, configs_folder, options, store_registered
@@ -35,6 +36,10 @@ _SEVERAL_VALUES = re.compile(r"Ambiguous value for argument '(?P<key>[^=]*)=(?P<
 _DEFAULT = "default_"
 """Prefix of the presets that apply unless another is chosen: `default_bus` with `env=bus`."""
 _EXPERIMENT = "the experiment"
+_OTHER_ENVS = (
+    ", or a PettingZoo module, such as env=mpe2.simple_spread_v3, a file, such as env=./shuttle.py, or a "
+    "Gymnasium id, such as env=gymnasium:CartPole-v1"
+)
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
 
@@ -220,11 +225,13 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     if isinstance(rollout := values.get("rollout", {}), Mapping):
         values["rollout"] = {**algo.rollout(algo_config), **rollout}
     config = build(ExperimentConfig, values)
+    config = replace(config, env=replace(config.env, id=absolute_id(config.env.id)))
     if not _DEVICE.fullmatch(config.device):
         raise HeadwayError(f"device={config.device} is not a device; write auto, cpu, cuda or cuda:NUMBER")
     if config.device.startswith("cuda") and not Path("/dev/nvidiactl").exists():
         raise HeadwayError(f"device={config.device}, but this machine has no NVIDIA GPU; use auto or cpu")
-    env = chosen_env(config.env)
+    with prints_to_stderr():  # an environment's module may print
+        env = chosen_env(config.env)
     training_args = _merged(config.env.args, config.env.training_args or {})
     return Experiment(
         config=config,
@@ -300,10 +307,15 @@ def _hydra_override(override: str, overrides: Sequence[str]) -> str:
         return f"++{override}"
     if "," in value and not value.startswith(("[", "{", "'", '"')):
         raise HeadwayError(f"{override}: choose one option; `headway sweep` takes several")
-    if key == "env" and is_module_path(value):
-        return f"++env={{id:{value}}}"
+    if key == "env" and is_external(value.strip("'\"")):
+        # Quoted, for Hydra's grammar: paths may contain spaces and other special characters.
+        return "++env={id:" + (value if value.startswith(("'", '"')) else f'"{value}"') + "}"
     if value not in known[key]:
-        or_module = ", or a PettingZoo module, such as env=mpe2.simple_spread_v3" if key == "env" else ""
+        or_module = ""
+        if key == "env":
+            or_module = (
+                _OTHER_ENVS if not Path(f"{value}.py").is_file() else f", or your file env=./{value}.py"
+            )
         near = suggestion(value, known[key], f"{key}=")
         raise HeadwayError(f"{override}: there is no such {key}; {near}{or_module}")
     return override
