@@ -19,9 +19,10 @@ from headway.registry import (
     wrapper_entries,
     wrapper_entry,
 )
+from headway_launch.commands.run import add_config_dir_argument
 from headway_launch.console.output import print_line
 from headway_launch.console.tables import print_table
-from headway_launch.experiments.options import configs_folder, options, summary_of
+from headway_launch.experiments.options import config_file, options, summary_of
 
 EXAMPLES = """\
 examples:
@@ -44,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add KIND and NAME."""
     parser.add_argument("kind", metavar="KIND", help=", ".join(_KINDS))
     parser.add_argument("name", metavar="NAME", nargs="?", help="show this one in full")
+    add_config_dir_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -119,7 +121,7 @@ def _registered_id(name: str) -> str | None:
     """
     if name not in _file_only_envs():
         return _require_env(name)
-    configured = yaml.safe_load((configs_folder() / "env" / f"{name}.yaml").read_text(encoding="utf-8"))
+    configured = yaml.safe_load(config_file("env", name).read_text(encoding="utf-8"))
     own = configured.get("id")
     return own if own in env_entries() else None
 
@@ -177,7 +179,7 @@ def _list_group(group: str) -> Callable[[str | None], None]:
         if name is None:
             print_table((group, "description"), [(option, summary_of(group, option)) for option in names])
         elif name in names:
-            print((configs_folder() / group / f"{name}.yaml").read_text(encoding="utf-8"), end="")
+            print(config_file(group, name).read_text(encoding="utf-8"), end="")
         else:
             raise HeadwayError(f"unknown {group} {name!r}; {suggestion(name, names)}")
 

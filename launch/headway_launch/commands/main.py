@@ -169,7 +169,14 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
     except SystemExit as done:  # --help
         return int(done.code or 0)
     parsed.command, parsed.debug = name, debug
-    code: int = module.execute(parsed)
+    code: int
+    if (folder := getattr(parsed, "config_dir", None)) is None:
+        code = module.execute(parsed)
+        return code
+    from headway_launch.experiments.options import own_configs
+
+    with own_configs(folder):
+        code = module.execute(parsed)
     return code
 
 

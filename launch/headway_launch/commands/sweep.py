@@ -4,7 +4,7 @@ import argparse
 import shlex
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.run import add_dry_run_argument
+from headway_launch.commands.run import add_dry_run_argument, add_experiment_arguments
 
 _ALLOCATION = ("nodes", "cpus", "time", "partition")
 
@@ -30,7 +30,7 @@ Exit code: 0 all runs have finished; 2 some failed (the others were completed) o
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the overrides and the options of Slurm."""
-    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides, in Hydra's grammar")
+    add_experiment_arguments(parser)
     add_dry_run_argument(parser)
     parser.add_argument("--fresh", action="store_true", help="train all runs, including those in the store")
     slurm = parser.add_argument_group("for Slurm")

@@ -28,7 +28,15 @@ from headway.environments import chosen_env, notices_of
 from headway.registry import algo_entries, algo_entry, is_external, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
 from headway_launch.console.output import print_line, prints_to_stderr
-from headway_launch.experiments.options import NO_ENV, configs_folder, options, store_registered
+from headway_launch.experiments.experiment_file import choice_of_file, split_experiment_file
+from headway_launch.experiments.options import (
+    NO_ENV,
+    config_file,
+    configs_folder,
+    options,
+    own_folder,
+    store_registered,
+)
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2})(?P<key>[^=+~]+)=(?P<value>.*)", re.DOTALL)
 _DELETION = re.compile(r"~(?P<key>[^=+~]+)(=.*)?", re.DOTALL)
@@ -169,10 +177,16 @@ class Experiment:
 def compose(overrides: Sequence[str]) -> Experiment:
     """Return the experiment that `overrides` describe (`experiment=bus_mappo algo.lr=3e-4 seed=0..4`).
 
-    Overrides follow Hydra's grammar; `key=value` may set any key, also one that no YAML file sets. The values
-    of a preset take precedence over the defaults only. Raises HeadwayError for an invalid override.
+    Overrides follow Hydra's grammar; `key=value` may set any key, also one that no YAML file sets. One word
+    may be the path of an experiment's file (`choice_of_file`). The values of a preset take precedence
+    over the defaults only. Raises HeadwayError for an invalid override.
     """
-    mapping, choices = _compose_mapping([_hydra_override(override, overrides) for override in overrides])
+    file, others = split_experiment_file(overrides)
+    words = [choice_of_file(file)] if file else []
+    words += [_hydra_override(override, overrides) for override in others]
+    if own := own_folder():
+        words.append(f'hydra.searchpath=["file://{own}"]')
+    mapping, choices = _compose_mapping(words)
     presets = mapping.pop("preset", None) or {}
     preset = choices.get("preset") or NO_PRESET
     values = _preset_values(presets, mapping, by_default=preset.startswith(_DEFAULT))
@@ -318,6 +332,8 @@ def _hydra_override(override: str, overrides: Sequence[str]) -> str:
             )
         near = suggestion(value, known[key], f"{key}=")
         raise HeadwayError(f"{override}: there is no such {key}; {near}{or_module}")
+    if key == "experiment" and not (file := config_file(key, value)).is_relative_to(configs_folder()):
+        return choice_of_file(file)
     return override
 
 
