@@ -62,7 +62,6 @@ def execute(arguments: argparse.Namespace) -> int:
         if getattr(arguments, name) not in (None, False):
             raise HeadwayError(f"--{name} needs --slurm")
     from headway_launch.experiments.sweep import compose_sweep
-    from headway_launch.runner.runner import EXIT_STOPPED
     from headway_launch.studies.plan import distinct
     from headway_launch.studies.session import StudySession
 
@@ -71,10 +70,7 @@ def execute(arguments: argparse.Namespace) -> int:
         from headway_launch.studies.dry_run import print_estimate
 
         return print_estimate(session.progress, session.cells)
-    runner = session.open_runner(arguments.debug)
-    code = runner.run()
-    if code != EXIT_STOPPED:
-        session.require_all_ended(runner)
+    _, code = session.train(arguments.debug)
     return code
 
 
