@@ -415,13 +415,13 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[
         if deleted:
             others = [override for override in overrides if override not in deleted]
             _require_set(deleted, _compose_mapping(others)[0])
-        _require_grammar(overrides)
+        require_grammar(overrides)
         raise HeadwayError(_one_line(error)) from error
     assert isinstance(mapping, dict)
     return {str(key): value for key, value in mapping.items()}, chosen
 
 
-def _require_grammar(overrides: Sequence[str]) -> None:
+def require_grammar(overrides: Sequence[str]) -> None:
     """Raise HeadwayError for the first override that Hydra's grammar does not allow."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
