@@ -37,7 +37,8 @@ examples:
   headway list metrics bus     episode metrics of one environment, with units
   headway list experiments     names for `headway run experiment=NAME`
   headway list searches        names for `headway search NAME`
-  headway list keys            all other keys of an experiment
+  headway list keys            all keys of an experiment
+  headway list keys lr         those with `lr` in their name
 """
 
 
@@ -160,17 +161,31 @@ def _list_metrics(name: str | None) -> None:
     print_table(("environment", "metric", "description"), rows, whole=("metric",), spare=("environment",))
 
 
-def _list_keys(name: str | None) -> None:
+def _list_keys(word: str | None) -> None:
+    """Print every key, or those whose name, or else whose description, contains `word`.
+
+    Keys of `algo` and `env.args` appear once per default and description, with the algorithms or environments
+    that have them.
+    """
     from headway.config.experiment import ExperimentConfig
 
-    if name is None:
-        _print_descriptions(describe(ExperimentConfig))
-        return
-    rows = [row for row in describe(ExperimentConfig) if row.key == name or row.key.startswith(f"{name}.")]
-    if not rows:
-        keys = [row.key for row in describe(ExperimentConfig)]
-        raise HeadwayError(f"unknown key {name!r}; {suggestion(name, keys)}")
-    _print_descriptions(rows)
+    owners: dict[FieldDescription, list[str]] = {
+        key: [] for key in describe(ExperimentConfig) if key.key not in ("algo", "env.args")
+    }
+    for name, algo in algo_entries().items():
+        for key in describe(algo.config, "algo"):
+            owners.setdefault(key, []).append(name)
+    for name, env in env_entries().items():
+        for key in describe(env.config, "env.args"):
+            owners.setdefault(key, []).append(name)
+    found = sorted(owners, key=lambda key: key.key.split(".")[0])  # stable: groups stay together
+    if word is not None:
+        by_name = [key for key in found if word.lower() in key.key.lower()]
+        found = by_name or [key for key in found if word.lower() in key.doc.lower()]
+    if not found:
+        raise HeadwayError(f"no key contains {word!r}; {suggestion(word or '', {key.key for key in owners})}")
+    rows = [(key.key, key.type, key.default, ", ".join(owners[key]), key.doc) for key in found]
+    print_table(("key", "type", "default", "of", "description"), rows, whole=("key",), spare=("type",))
 
 
 def _list_group(group: str) -> Callable[[str | None], None]:
