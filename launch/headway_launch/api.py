@@ -4,5 +4,6 @@ Every other module of the package is private.
 """
 
 from headway_launch.studies.runs import rules_beside
+from headway_launch.training import run, sweep
 
-__all__ = ["rules_beside"]
+__all__ = ["rules_beside", "run", "sweep"]

@@ -4,11 +4,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from headway.adapters.env_file import EnvFile, is_file_id
 from headway.config.experiment import EnvConfig
 from headway.contracts import EnvEntry, HeadwayError
-from headway.registry import env_entry, is_module_path
+from headway.registry import env_entry, is_external
 
-_MODULE_KEYS = ("shared_reward", "agents_come_and_go", "max_copies_per_process")
+_MODULE_KEYS = ("shared_reward", "agents_come_and_go", "max_copies_per_process", "file_digest")
 
 
 @dataclass(frozen=True)
@@ -32,14 +33,18 @@ def chosen_env(config: EnvConfig) -> ChosenEnv:
     does not take.
     """
     options = {key: value for key in _MODULE_KEYS if (value := getattr(config, key)) is not None}
-    is_module = is_module_path(config.id)
-    if options and not is_module:
+    external = is_external(config.id)
+    if options and not external:
         raise HeadwayError(
-            f"env.{next(iter(options))} is for PettingZoo environments by module path only; remove it, "
+            f"env.{next(iter(options))} is for PettingZoo and Gymnasium environments only; remove it, "
             f"{config.id} defines it itself"
         )
-    entry = training = _module_entry(config, config.args) if is_module else env_entry(config.id)
-    if is_module and config.training_args:
+    if is_file_id(config.id):
+        options.setdefault("file_digest", EnvFile.read(config.id).digest)
+    elif config.file_digest is not None:
+        raise HeadwayError(f"env.file_digest is for Python files only; remove it, {config.id} is none")
+    entry = training = _module_entry(config, config.args) if external else env_entry(config.id)
+    if external and config.training_args:
         training = _module_entry(config, {**config.args, **config.training_args})
     if not config.wrappers:
         return ChosenEnv(entry, training, options)
@@ -66,7 +71,7 @@ def _module_entry(config: EnvConfig, arguments: Iterable[str]) -> EnvEntry:
         agents_come_and_go=config.agents_come_and_go,
         max_copies_per_process=config.max_copies_per_process,
     )
-    return module_entry(config.id, options, arguments)
+    return module_entry(config.id, options, arguments, config.file_digest)
 
 
 def notices_of(prepared: object) -> tuple[str, ...]:

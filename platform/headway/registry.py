@@ -53,20 +53,25 @@ def wrapper_entries() -> Mapping[str, WrapperEntry]:
 
 
 def env_entry(name: str) -> EnvEntry:
-    """Return the environment with this name or module path, such as `mpe2.simple_spread_v3`.
+    """Return the environment with this name, or one that `is_external`.
 
     Raises HeadwayError, suggesting the nearest name, if there is none.
     """
-    if is_module_path(name):
+    if is_external(name):
+        from headway.adapters.env_file import absolute_id
         from headway.adapters.modules import module_entry
 
-        return module_entry(name)
+        return module_entry(absolute_id(name))
     return _named(env_entries(), name, "environment")
 
 
-def is_module_path(name: str) -> bool:
-    """Return whether `name` is a module path: it contains a dot and is not a registered environment."""
-    return "." in name and name not in env_entries()
+def is_external(name: str) -> bool:
+    """Return whether `name` is not that of a registered environment but leads to an environment's code.
+
+    It is a PettingZoo module (`mpe2.simple_spread_v3`), a Python file (`./shuttle.py`) or a Gymnasium id
+    with its module (`gymnasium:CartPole-v1`).
+    """
+    return ("." in name or ":" in name) and name not in env_entries()
 
 
 def algo_entry(name: str) -> AlgoEntry:

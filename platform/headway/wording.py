@@ -4,3 +4,8 @@
 def counted(count: int, what: str) -> str:
     """Return a count with its noun: `1 run`, `3 runs`."""
     return f"{count:,} {what}{'' if count == 1 else 's'}"
+
+
+def environment_name(env_id: str) -> str:
+    """Return an environment's id, or its last part if it is a path: `shuttle.py` for `/lab/shuttle.py`."""
+    return env_id.rsplit("/", 1)[-1]

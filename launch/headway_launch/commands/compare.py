@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
+from headway_launch.commands.run import add_config_dir_argument
 from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--metrics", default="return", help="metrics to compare, comma-separated (default: return)"
     )
     add_where_argument(parser)
+    add_config_dir_argument(parser)
     add_store_argument(parser)
 
 

@@ -9,9 +9,12 @@ EXAMPLES = """\
 examples:
   headway evaluate s0-20260101-1200                any unique part of a run's name
   headway evaluate RUN --episodes 100 --seed 5     other episodes
+  headway evaluate RUN env.args.scenario=corridor  the same policy elsewhere (zero-shot transfer)
   headway evaluate RUN --mode sampled --rules always_move,headway_holding_0.9
 
-Differences are of the return, policy minus rule, paired by episode, with 95% intervals over episodes.
+env.args.KEY=VALUE changes the environment for the policy and the rules alike; observations and actions must
+keep their shapes. Differences are of the return, policy minus rule, paired by episode, with 95% intervals
+over episodes.
 `headway list metrics ENVIRONMENT` describes the other metrics.
 """
 
@@ -19,6 +22,13 @@ Differences are of the return, policy minus rule, paired by episode, with 95% in
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the run and the episodes."""
     parser.add_argument("run", metavar="RUN", help="name of the run, as in `headway runs`")
+    parser.add_argument(
+        "overrides",
+        metavar="env.args.KEY=VALUE",
+        nargs="*",
+        default=[],
+        help="arguments of another environment to evaluate on",
+    )
     parser.add_argument(
         "--episodes", type=int, help="evaluation episodes (default: as in the run's last evaluation)"
     )
@@ -32,14 +42,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Evaluate and print the table."""
+    from headway.store.checkpoint import UnfitPolicyError
+    from headway_launch.console.output import print_line
     from headway_launch.console.progress_display import CountedProgress
+    from headway_launch.experiments.compose import resolve
+    from headway_launch.experiments.env_args import with_env_args
     from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
     from headway_launch.runner.comparison import counting, print_comparison, rule_episodes, rules_to_play
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.runner.warm_up import compile_kernels
 
     run = StoredRun.find(existing_store(arguments.store), arguments.run)
-    experiment = run.experiment
+    mapping, changes = with_env_args(run.mapping, arguments.overrides)
+    experiment = resolve(mapping)
     evaluation = experiment.config.evaluation
     episodes = evaluation.last_episodes if arguments.episodes is None else arguments.episodes
     root = evaluation.seed if arguments.seed is None else arguments.seed
@@ -48,7 +63,17 @@ def execute(arguments: argparse.Namespace) -> int:
     found = experiment.prepare()
     rules = rules_to_play(found, arguments.rules)
     compile_kernels(experiment.env)
-    policy = newest_policy(run, found)
+    try:
+        policy = newest_policy(run, found)
+    except UnfitPolicyError as error:
+        if not changes:
+            raise
+        raise HeadwayError(
+            f"with {', '.join(arguments.overrides)} observations, actions or agents have other shapes than "
+            f"those that run {run.record.run_id} was trained on; change other arguments, or train with these"
+        ) from error
+    if changes:
+        print_line(f"headway: evaluated on a changed environment: {'; '.join(changes)}")
     name = f"{experiment.algo_name} {arguments.mode}"
     with CountedProgress("episodes played", (1 + len(rules)) * episodes) as progress:
         greedy, count = arguments.mode == "greedy", counting(progress, name)

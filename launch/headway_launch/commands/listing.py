@@ -15,25 +15,30 @@ from headway.registry import (
     algo_entry,
     env_entries,
     env_entry,
+    is_external,
     wrapper_entries,
     wrapper_entry,
 )
+from headway_launch.commands.run import add_config_dir_argument
 from headway_launch.console.output import print_line
 from headway_launch.console.tables import print_table
-from headway_launch.experiments.options import configs_folder, options, summary_of
+from headway_launch.experiments.options import config_file, options, summary_of
 
 EXAMPLES = """\
 examples:
   headway list envs            all environments
   headway list envs bus        arguments of one environment (env.args.KEY=VALUE)
   headway list envs mpe2.simple_spread_v3      arguments of a PettingZoo environment, by its module
+  headway list envs ./shuttle.py               or by its file
+  headway list envs gymnasium:CartPole-v1      arguments of a Gymnasium environment
   headway list wrappers        all wrappers (env.wrappers='[{name: frame_stack_v1, stack_size: 4}]')
   headway list algos mappo     hyper-parameters of one algorithm (algo.KEY=VALUE)
   headway list rules bus       classical rules of one environment
   headway list metrics bus     episode metrics of one environment, with units
   headway list experiments     names for `headway run experiment=NAME`
   headway list searches        names for `headway search NAME`
-  headway list keys            all other keys of an experiment
+  headway list keys            all keys of an experiment
+  headway list keys lr         those with `lr` in their name
 """
 
 
@@ -41,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add KIND and NAME."""
     parser.add_argument("kind", metavar="KIND", help=", ".join(_KINDS))
     parser.add_argument("name", metavar="NAME", nargs="?", help="show this one in full")
+    add_config_dir_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -59,7 +65,10 @@ def _list_envs(name: str | None) -> None:
         summaries |= {option: summary_of("env", option) for option in _file_only_envs()}
         rows = [(key, summary, ", ".join(rules_of(key))) for key, summary in summaries.items()]
         print_table(("environment", "description", "rules"), rows)
-        print_line("PettingZoo environments are chosen by their module, such as env=mpe2.simple_spread_v3")
+        print_line(
+            "others are chosen by their PettingZoo module (env=mpe2.simple_spread_v3), Python file "
+            "(env=./shuttle.py) or Gymnasium id (env=gymnasium:CartPole-v1)"
+        )
     elif name in _file_only_envs():
         _list_group("env")(name)
     else:
@@ -103,8 +112,8 @@ def _list_wrappers(name: str | None) -> None:
 
 
 def _require_env(name: str) -> str:
-    """Return `name`. Raises HeadwayError if it is neither an environment nor a module path."""
-    if "." in name or name in _names(None):
+    """Return `name`. Raises HeadwayError if it is neither an environment nor leads to one's code."""
+    if is_external(name) or name in _names(None):
         return name
     raise HeadwayError(f"unknown environment {name!r}; {suggestion(name, _names(None))}")
 
@@ -121,7 +130,7 @@ def _registered_id(name: str) -> str | None:
     """
     if name not in _file_only_envs():
         return _require_env(name)
-    configured = yaml.safe_load((configs_folder() / "env" / f"{name}.yaml").read_text(encoding="utf-8"))
+    configured = yaml.safe_load(config_file("env", name).read_text(encoding="utf-8"))
     own = configured.get("id")
     return own if own in env_entries() else None
 
@@ -162,17 +171,31 @@ def _list_metrics(name: str | None) -> None:
     print_table(("environment", "metric", "description"), rows, whole=("metric",), spare=("environment",))
 
 
-def _list_keys(name: str | None) -> None:
+def _list_keys(word: str | None) -> None:
+    """Print every key, or those whose name, or else whose description, contains `word`.
+
+    Keys of `algo` and `env.args` appear once per default and description, with the algorithms or environments
+    that have them.
+    """
     from headway.config.experiment import ExperimentConfig
 
-    if name is None:
-        _print_descriptions(describe(ExperimentConfig))
-        return
-    rows = [row for row in describe(ExperimentConfig) if row.key == name or row.key.startswith(f"{name}.")]
-    if not rows:
-        keys = [row.key for row in describe(ExperimentConfig)]
-        raise HeadwayError(f"unknown key {name!r}; {suggestion(name, keys)}")
-    _print_descriptions(rows)
+    owners: dict[FieldDescription, list[str]] = {
+        key: [] for key in describe(ExperimentConfig) if key.key not in ("algo", "env.args")
+    }
+    for name, algo in algo_entries().items():
+        for key in describe(algo.config, "algo"):
+            owners.setdefault(key, []).append(name)
+    for name, env in env_entries().items():
+        for key in describe(env.config, "env.args"):
+            owners.setdefault(key, []).append(name)
+    found = sorted(owners, key=lambda key: key.key.split(".")[0])  # stable: groups stay together
+    if word is not None:
+        by_name = [key for key in found if word.lower() in key.key.lower()]
+        found = by_name or [key for key in found if word.lower() in key.doc.lower()]
+    if not found:
+        raise HeadwayError(f"no key contains {word!r}; {suggestion(word or '', {key.key for key in owners})}")
+    rows = [(key.key, key.type, key.default, ", ".join(owners[key]), key.doc) for key in found]
+    print_table(("key", "type", "default", "of", "description"), rows, whole=("key",), spare=("type",))
 
 
 def _list_group(group: str) -> Callable[[str | None], None]:
@@ -181,7 +204,7 @@ def _list_group(group: str) -> Callable[[str | None], None]:
         if name is None:
             print_table((group, "description"), [(option, summary_of(group, option)) for option in names])
         elif name in names:
-            print((configs_folder() / group / f"{name}.yaml").read_text(encoding="utf-8"), end="")
+            print(config_file(group, name).read_text(encoding="utf-8"), end="")
         else:
             raise HeadwayError(f"unknown {group} {name!r}; {suggestion(name, names)}")
 

@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
-from headway_launch.console.output import print_line, silence
+from headway_launch.console.output import exit_of_environment, print_line, silence
 from headway_launch.console.threads import limit_threads
 
 _ABOUT = "Multi-agent reinforcement-learning experiments in transport."
@@ -106,10 +106,7 @@ def run(arguments: Sequence[str]) -> int:
     except SystemExit as error:  # not of Headway's own code
         if debug:
             raise
-        print_line(
-            f"headway: the environment's code called sys.exit({error.code!r}); raise an error there instead "
-            "(--debug shows where)"
-        )
+        print_line(f"headway: {exit_of_environment(error)} (--debug shows where)")
         return 2
     except Exception as error:
         if isinstance(error, BrokenPipeError) and _only_prints(words):  # `headway runs | head`
@@ -173,7 +170,14 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
     except SystemExit as done:  # --help
         return int(done.code or 0)
     parsed.command, parsed.debug = name, debug
-    code: int = module.execute(parsed)
+    code: int
+    if (folder := getattr(parsed, "config_dir", None)) is None:
+        code = module.execute(parsed)
+        return code
+    from headway_launch.experiments.options import own_configs
+
+    with own_configs(folder):
+        code = module.execute(parsed)
     return code
 
 

@@ -9,6 +9,8 @@ examples:
   headway run experiment=bus_mappo algo=ippo preset=paper
   headway run env=trivial algo=ippo backend=serial energy=off env_steps=50_000
   headway run experiment=bus_mappo seed=0..9 --dry-run
+  headway run lab/mine.yaml seed=0..4          an experiment in a file of your own
+  headway run --config-dir lab experiment=mine
 
 KEY=VALUE sets a key of the experiment: see `headway list keys`, `headway list algos mappo`,
 `headway list envs bus`. GROUP=OPTION selects a file of configs/GROUP: env, algo, rollout, backend,
@@ -19,9 +21,29 @@ new runs; `headway sweep` trains only runs that the store lacks.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the overrides and --dry-run."""
-    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides, in Hydra's grammar")
+    """Add the experiment with its overrides, and the options."""
+    add_experiment_arguments(parser)
     add_dry_run_argument(parser)
+
+
+def add_experiment_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what describes an experiment: a file, overrides, a folder of configurations."""
+    parser.add_argument(
+        "overrides",
+        metavar="[FILE.yaml] KEY=VALUE",
+        nargs="*",
+        help="an experiment's file, and overrides in Hydra's grammar",
+    )
+    add_config_dir_argument(parser)
+
+
+def add_config_dir_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --config-dir, shared by the commands that compose experiments."""
+    parser.add_argument(
+        "--config-dir",
+        metavar="FOLDER",
+        help="folder with more experiments, presets, searches and so on, in the same subfolders as configs/",
+    )
 
 
 def add_dry_run_argument(parser: argparse.ArgumentParser) -> None:

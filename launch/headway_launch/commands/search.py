@@ -6,7 +6,7 @@ from statistics import mean
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.run import add_dry_run_argument
+from headway_launch.commands.run import add_config_dir_argument, add_dry_run_argument
 
 if TYPE_CHECKING:
     from headway.config.experiment import ExperimentConfig
@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="overrides of every run"
     )
+    add_config_dir_argument(parser)
     add_dry_run_argument(parser)
     parser.add_argument("--fresh", action="store_true", help="train all runs, including those in the store")
 

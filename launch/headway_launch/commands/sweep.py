@@ -4,7 +4,7 @@ import argparse
 import shlex
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.run import add_dry_run_argument
+from headway_launch.commands.run import add_dry_run_argument, add_experiment_arguments
 
 _ALLOCATION = ("nodes", "cpus", "time", "partition")
 
@@ -30,7 +30,7 @@ Exit code: 0 all runs have finished; 2 some failed (the others were completed) o
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the overrides and the options of Slurm."""
-    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides, in Hydra's grammar")
+    add_experiment_arguments(parser)
     add_dry_run_argument(parser)
     parser.add_argument("--fresh", action="store_true", help="train all runs, including those in the store")
     slurm = parser.add_argument_group("for Slurm")
@@ -62,7 +62,6 @@ def execute(arguments: argparse.Namespace) -> int:
         if getattr(arguments, name) not in (None, False):
             raise HeadwayError(f"--{name} needs --slurm")
     from headway_launch.experiments.sweep import compose_sweep
-    from headway_launch.runner.runner import EXIT_STOPPED
     from headway_launch.studies.plan import distinct
     from headway_launch.studies.session import StudySession
 
@@ -71,10 +70,7 @@ def execute(arguments: argparse.Namespace) -> int:
         from headway_launch.studies.dry_run import print_estimate
 
         return print_estimate(session.progress, session.cells)
-    runner = session.open_runner(arguments.debug)
-    code = runner.run()
-    if code != EXIT_STOPPED:
-        session.require_all_ended(runner)
+    _, code = session.train(arguments.debug)
     return code
 
 

@@ -69,3 +69,8 @@ def silence(stream: TextIO) -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
         os.close(nowhere)
+
+
+def exit_of_environment(error: SystemExit) -> str:
+    """Return the error line for an environment's code that tried to end the process."""
+    return f"the environment's code called sys.exit({error.code!r}); raise an error there instead"

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from headway.adapters.env_file import absolute_id
 from headway.algorithms import chosen_algo
 from headway.config.experiment import NO_PRESET, ExperimentConfig
 from headway.config.schema import (
@@ -23,10 +24,18 @@ from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError, UnknownKeyError
 from headway.environments import chosen_env, notices_of
-from headway.registry import is_module_path, wrapper_entry
+from headway.registry import is_external, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
 from headway_launch.console.output import print_line, prints_to_stderr
-from headway_launch.experiments.options import NO_ENV, configs_folder, options, store_registered
+from headway_launch.experiments.experiment_file import choice_of_file, split_experiment_file
+from headway_launch.experiments.options import (
+    NO_ENV,
+    config_file,
+    configs_folder,
+    options,
+    own_folder,
+    store_registered,
+)
 
 _OVERRIDE = re.compile(r"(?P<prefix>\+{0,2})(?P<key>[^=+~]+)=(?P<value>.*)", re.DOTALL)
 _DELETION = re.compile(r"~(?P<key>[^=+~]+)(=.*)?", re.DOTALL)
@@ -34,6 +43,10 @@ _SEVERAL_VALUES = re.compile(r"Ambiguous value for argument '(?P<key>[^=]*)=(?P<
 _DEFAULT = "default_"
 """Prefix of the presets that apply unless another is chosen: `default_bus` with `env=bus`."""
 _EXPERIMENT = "the experiment"
+_OTHER_ENVS = (
+    ", or a PettingZoo module, such as env=mpe2.simple_spread_v3, a file, such as env=./shuttle.py, or a "
+    "Gymnasium id, such as env=gymnasium:CartPole-v1"
+)
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
 
@@ -163,10 +176,16 @@ class Experiment:
 def compose(overrides: Sequence[str]) -> Experiment:
     """Return the experiment that `overrides` describe (`experiment=bus_mappo algo.lr=3e-4 seed=0..4`).
 
-    Overrides follow Hydra's grammar; `key=value` may set any key, also one that no YAML file sets. The values
-    of a preset take precedence over the defaults only. Raises HeadwayError for an invalid override.
+    Overrides follow Hydra's grammar; `key=value` may set any key, also one that no YAML file sets. One word
+    may be the path of an experiment's file (`choice_of_file`). The values of a preset take precedence
+    over the defaults only. Raises HeadwayError for an invalid override.
     """
-    mapping, choices = _compose_mapping([_hydra_override(override, overrides) for override in overrides])
+    file, others = split_experiment_file(overrides)
+    words = [choice_of_file(file)] if file else []
+    words += [_hydra_override(override, overrides) for override in others]
+    if own := own_folder():
+        words.append(f'hydra.searchpath=["file://{own}"]')
+    mapping, choices = _compose_mapping(words)
     presets = mapping.pop("preset", None) or {}
     preset = choices.get("preset") or NO_PRESET
     values = _preset_values(presets, mapping, by_default=preset.startswith(_DEFAULT))
@@ -219,11 +238,13 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     if isinstance(rollout := values.get("rollout", {}), Mapping):
         values["rollout"] = {**algo.rollout(algo_config), **rollout}
     config = build(ExperimentConfig, values)
+    config = replace(config, env=replace(config.env, id=absolute_id(config.env.id)))
     if not _DEVICE.fullmatch(config.device):
         raise HeadwayError(f"device={config.device} is not a device; write auto, cpu, cuda or cuda:NUMBER")
     if config.device.startswith("cuda") and not Path("/dev/nvidiactl").exists():
         raise HeadwayError(f"device={config.device}, but this machine has no NVIDIA GPU; use auto or cpu")
-    env = chosen_env(config.env)
+    with prints_to_stderr():  # an environment's module may print
+        env = chosen_env(config.env)
     training_args = _merged(config.env.args, config.env.training_args or {})
     return Experiment(
         config=config,
@@ -264,12 +285,19 @@ def _hydra_override(override: str, overrides: Sequence[str]) -> str:
         return f"++{override}"
     if "," in value and not value.startswith(("[", "{", "'", '"')):
         raise HeadwayError(f"{override}: choose one option; `headway sweep` takes several")
-    if key == "env" and is_module_path(value):
-        return f"++env={{id:{value}}}"
+    if key == "env" and is_external(value.strip("'\"")):
+        # Quoted, for Hydra's grammar: paths may contain spaces and other special characters.
+        return "++env={id:" + (value if value.startswith(("'", '"')) else f'"{value}"') + "}"
     if value not in known[key]:
-        or_module = ", or a PettingZoo module, such as env=mpe2.simple_spread_v3" if key == "env" else ""
+        or_module = ""
+        if key == "env":
+            or_module = (
+                _OTHER_ENVS if not Path(f"{value}.py").is_file() else f", or your file env=./{value}.py"
+            )
         near = suggestion(value, known[key], f"{key}=")
         raise HeadwayError(f"{override}: there is no such {key}; {near}{or_module}")
+    if key == "experiment" and not (file := config_file(key, value)).is_relative_to(configs_folder()):
+        return choice_of_file(file)
     return override
 
 
@@ -351,13 +379,13 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[
         if deleted:
             others = [override for override in overrides if override not in deleted]
             _require_set(deleted, _compose_mapping(others)[0])
-        _require_grammar(overrides)
+        require_grammar(overrides)
         raise HeadwayError(_one_line(error)) from error
     assert isinstance(mapping, dict)
     return {str(key): value for key, value in mapping.items()}, chosen
 
 
-def _require_grammar(overrides: Sequence[str]) -> None:
+def require_grammar(overrides: Sequence[str]) -> None:
     """Raise HeadwayError for the first override that Hydra's grammar does not allow."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException

@@ -1,7 +1,9 @@
 """Options of each group of an experiment: files of `configs`, and registered names, which need no file."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ from headway.registry import algo_entries, env_entries
 
 NO_ENV = "none"
 """The option of the group `env` that applies if none is chosen."""
+_OWN_FOLDER: ContextVar[Path | None] = ContextVar("own_folder", default=None)
 _SENTENCE = re.compile(r".*?\.(?=\s|$)")
 
 
@@ -29,12 +32,59 @@ def configs_folder() -> Path:
     raise HeadwayError(f"there are no configurations in {in_project}; reinstall headway")
 
 
+@contextmanager
+def own_configs(folder: str) -> Iterator[None]:
+    """Compose also from `folder`, which has the same groups as `configs`: experiment/, preset/ and so on.
+
+    Raises HeadwayError if it has none of them, or a file that the project has too.
+    """
+    path = Path(folder).resolve()
+    project = _files(configs_folder())
+    groups = sorted({*_registered(), *project})
+    own = {group: names for group, names in _files(path).items() if group in groups} if path.is_dir() else {}
+    if not any(own.values()):
+        raise HeadwayError(
+            f"--config-dir {folder} has no YAML files in a folder of one of the names {', '.join(groups)}"
+        )
+    for group, names in own.items():
+        if taken := names & project.get(group, set()):
+            raise HeadwayError(
+                f"{path / group / min(taken)}.yaml: Headway's own {group} has this name; choose another"
+            )
+    token = _OWN_FOLDER.set(path)
+    try:
+        yield
+    finally:
+        _OWN_FOLDER.reset(token)
+
+
+def own_folder() -> Path | None:
+    """Return the folder of `own_configs`; None outside it."""
+    return _OWN_FOLDER.get()
+
+
+def config_file(group: str, option: str) -> Path:
+    """Return the file of an option, in the project or in the folder of `own_configs`."""
+    own, file = own_folder(), Path(group, f"{option}.yaml")
+    return own / file if own and (own / file).is_file() else configs_folder() / file
+
+
+def _files(folder: Path) -> dict[str, set[str]]:
+    """Return the options that files define, by group."""
+    return {
+        group.name: {str(file.relative_to(group).with_suffix("")) for file in group.rglob("*.yaml")}
+        for group in filter(Path.is_dir, folder.iterdir())
+    }
+
+
 def options() -> dict[str, tuple[str, ...]]:
     """Return the options of each group (`env`, `algo`, `experiment`, ...), sorted by name."""
     names = {group: set(values) for group, values in _registered().items()}
-    for folder in filter(Path.is_dir, configs_folder().iterdir()):
-        files = {str(file.relative_to(folder).with_suffix("")) for file in folder.rglob("*.yaml")}
-        names[folder.name] = names.get(folder.name, set()) | files
+    for group, files in _files(configs_folder()).items():
+        names[group] = names.get(group, set()) | files
+    if own := own_folder():
+        for group, files in _files(own).items():
+            names.get(group, set()).update(files)
     return {group: tuple(sorted(names[group])) for group in sorted(names)}
 
 
@@ -50,7 +100,7 @@ def store_registered() -> None:
 
 def summary_of(group: str, option: str) -> str:
     """Return the first sentence of a configuration file's first comment, Hydra directives aside."""
-    lines = (configs_folder() / group / f"{option}.yaml").read_text(encoding="utf-8").splitlines()
+    lines = config_file(group, option).read_text(encoding="utf-8").splitlines()
     text_lines = (line for line in lines if not line.startswith("# @"))
     comment = takewhile(
         lambda line: line.startswith("#"), dropwhile(lambda line: not line.strip("# "), text_lines)

@@ -2,11 +2,13 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from headway.config.experiment import ExperimentConfig
 from headway.config.schema import plain
-from headway_launch.experiments.compose import Experiment
+
+if TYPE_CHECKING:
+    from headway_launch.experiments.compose import Experiment
 
 _IDENTITY_KEYS = ("study", "env_steps", "device", "env", "algo", "rollout", "evaluation")
 
@@ -26,7 +28,7 @@ def session_settings(config: ExperimentConfig) -> dict[str, object]:
     }
 
 
-def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]:
+def full_mapping(experiment: "Experiment", seeds: Sequence[int]) -> dict[str, Any]:
     """Return the configuration with every default written out, so that stored runs keep old defaults."""
     config: ExperimentConfig = experiment.config
     evaluation = {**plain(config.evaluation), "rules": list(experiment.rules)}
@@ -44,7 +46,7 @@ def full_mapping(experiment: Experiment, seeds: Sequence[int]) -> dict[str, Any]
     }
 
 
-def cell_parameters(experiment: Experiment) -> dict[str, Any]:
+def cell_parameters(experiment: "Experiment") -> dict[str, Any]:
     """Return the parameters that all runs of a cell share, by dotted name."""
     whole = full_mapping(experiment, ())
     kept = {key: whole[key] for key in ("env_steps", "device", "env", "algo", "rollout")}

@@ -9,7 +9,7 @@ from headway.config.schema import build, suggestion
 from headway.contracts.checks import require_key
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.compose import Experiment, compose
-from headway_launch.experiments.options import configs_folder
+from headway_launch.experiments.options import config_file, options
 from headway_launch.experiments.parameters import full_mapping, identity
 from headway_launch.experiments.sweep import require_one_session
 
@@ -60,16 +60,15 @@ def _with_candidate(candidate: str, experiment: Experiment) -> Experiment:
 
 
 def read_search(name: str) -> Search:
-    """Read a search of configs/search. Raises HeadwayError if it does not exist or is not valid."""
-    folder = configs_folder() / "search"
-    known = sorted(path.stem for path in folder.glob("*.yaml"))
+    """Read a search of the group `search`. Raises HeadwayError if it does not exist or is not valid."""
+    known = options()["search"]
     if name not in known:
         raise HeadwayError(f"there is no search {name!r}; {suggestion(name, known)}")
+    path = config_file("search", name)
     try:
-        content = yaml.safe_load((folder / f"{name}.yaml").read_text())
-    except yaml.YAMLError as error:
-        problem = " ".join(str(error).split())
-        raise HeadwayError(f"configs/search/{name}.yaml is not valid YAML: {problem}") from error
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, ValueError) as error:
+        raise HeadwayError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, Mapping):
-        raise HeadwayError(f"configs/search/{name}.yaml must have the keys base, cells and candidates")
+        raise HeadwayError(f"{path} must have the keys base, cells and candidates")
     return build(Search, content, f"search/{name}")

@@ -1,7 +1,6 @@
 """Command line that repeats the training of a stored run."""
 
 import json
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -13,10 +12,9 @@ from headway.config.experiment import NO_PRESET
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.options import options
+from headway_launch.experiments.override_words import written
 from headway_launch.experiments.parameters import flat, full_mapping
 
-_WORD = re.compile(r"[A-Za-z_][\w.]*")
-"""Pattern of text that needs no quotes."""
 _BACKEND = ("name", "workers", "parallel", "address", "worker_cpus", "learners")
 _NO_EFFECT = ("store.", "seed", "preset", "candidate", *(f"backend.{key}" for key in _BACKEND))
 """Keys without effect on results: storage, distribution over processes, and origin of settings."""
@@ -60,7 +58,7 @@ def _words(values: Mapping[str, Any], preset: str) -> list[str]:
     chosen += [f"preset={preset}"] if preset != NO_PRESET or by_default else []
     known = _chosen(*chosen)
     differing = [key for key, value in values.items() if key not in known or known[key] != value]
-    return [*chosen, *(f"{key}={_written(values[key])}" for key in differing)]
+    return [*chosen, *(f"{key}={written(values[key])}" for key in differing)]
 
 
 @lru_cache(maxsize=128)
@@ -75,19 +73,3 @@ def _composed(words: Sequence[str]) -> dict[str, Any]:
 
 def _changing_results(mapping: Mapping[str, Any]) -> list[tuple[str, Any]]:
     return [(key, value) for key, value in flat(mapping, with_empty=True) if not key.startswith(_NO_EFFECT)]
-
-
-def _written(value: object) -> str:
-    """Format a value in Hydra's override grammar."""
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, Mapping):
-        return "{" + ",".join(f"{key}:{_written(inner)}" for key, inner in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ",".join(_written(inner) for inner in value) + "]"
-    if isinstance(value, str):
-        plain = _WORD.fullmatch(value) and value.lower() not in ("null", "true", "false", "nan", "inf")
-        return value if plain else json.dumps(value)
-    return repr(value)

@@ -11,7 +11,7 @@ from headway.config.experiment import ExperimentConfig
 from headway.contracts.errors import HeadwayError
 from headway.events import Row
 from headway.store.run_folder import RunRecord, read_summary
-from headway.wording import counted
+from headway.wording import counted, environment_name
 from headway_launch.console.output import print_line
 from headway_launch.console.tables import Value, print_table, without_empty
 from headway_launch.runner.comparison import print_comparison
@@ -179,7 +179,7 @@ def print_results(
     if len(finished) > 1:
         rows += _summary_rows(finished)
     columns = _headings(_COLUMNS, _estimated(results), {config.evaluation.episodes})
-    title = f"{config.algo.get('name')} on {config.env.id}"
+    title = f"{config.algo.get('name')} on {environment_name(config.env.id)}"
     print_table(*without_empty(columns, rows, (CO2_HEADING,)), title, ("status",), _OPTIONAL)
     _print_notes(results)
     _print_unchanged(results, config.evaluation.modes)

@@ -95,6 +95,15 @@ class Runner:
             for cell in self._cells
         ]
 
+    @property
+    def store_root(self) -> Path:
+        """The store's folder."""
+        return Path(self._config.store.root)
+
+    def run_ids(self) -> list[str]:
+        """Return the identities of the runs that have ended, in this session or before it."""
+        return [run_id for cell in self._cells for run_id in cell.results]
+
     def left_to_others(self) -> list[Path]:
         """Return the folders of runs that other sessions train, or trained without finishing them."""
         results = {result.directory for cell in self._cells for result in cell.results.values()}

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError, one_line
 from headway.events import Event, Failed
-from headway.rollout.forks import end_if_forked
+from headway.rollout.forks import end_if_forked, without_main_module
 
 if TYPE_CHECKING:
     from headway.training.loop import TrainingJob
@@ -92,7 +92,8 @@ class TrainingProcess(Training):
         # Signals stay blocked until the child has left the terminal's process group.
         signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         try:
-            self._process.start()
+            with without_main_module():  # a script that calls `run` would call it again
+                self._process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
         child_end.close()

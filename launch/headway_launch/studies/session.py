@@ -12,7 +12,7 @@ from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment
 from headway_launch.runner.jobs import CellPlan
-from headway_launch.runner.runner import Runner
+from headway_launch.runner.runner import EXIT_STOPPED, Runner
 from headway_launch.studies.plan import StudyProgress, keep_plan, plan_cells
 
 
@@ -44,6 +44,17 @@ class StudySession:
             for experiment in experiments
         ]
         return cls(tuple(experiments), tuple(progress), tuple(plan_cells(progress, labels)))
+
+    def train(self, debug: bool = False) -> tuple[Runner, int]:
+        """Train; return the runner and the exit code.
+
+        Raises HeadwayError if the store cannot be used, and if runs left to other sessions have not finished.
+        """
+        runner = self.open_runner(debug)
+        code = runner.run()
+        if code != EXIT_STOPPED:
+            self.require_all_ended(runner)
+        return runner, code
 
     def open_runner(self, debug: bool) -> Runner:
         """Return a runner and store the session's plan. Raises HeadwayError if the store cannot be used."""

@@ -1,21 +1,20 @@
-"""A single-agent Gymnasium environment as a batch of copies with N = 1."""
+"""A single-agent Gymnasium environment as a ParallelEnv with N = 1."""
 
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
 
-from headway.adapters.pettingzoo import AdapterOptions, ParallelEnvBatch
 from headway.adapters.spaces import Space
 
 AGENT = "agent"
 """Name of the only agent."""
 
 
-class SingleAgent:
-    """A Gymnasium environment with the interface of a ParallelEnv of one agent. Infos are passed on."""
+class SingleAgent(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes without types
+    """A Gymnasium environment as a ParallelEnv of one agent. Infos are passed on."""
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         self._env = env
@@ -29,8 +28,10 @@ class SingleAgent:
     def action_space(self, agent: str) -> Space:
         return self._env.action_space
 
-    def reset(self, seed: int | None = None) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        observation, info = self._env.reset(seed=seed)
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        observation, info = self._env.reset(seed=seed, options=options)
         self.agents = [AGENT]
         return {AGENT: observation}, {AGENT: info}
 
@@ -54,11 +55,3 @@ class SingleAgent:
 
     def close(self) -> None:
         self._env.close()
-
-
-class GymnasiumBatch(ParallelEnvBatch):
-    """C copies of a Gymnasium environment as a `BatchedEnv`; see `ParallelEnvBatch`."""
-
-    def __init__(self, make_env: Callable[[], gymnasium.Env[Any, Any]], copies: int, name: str) -> None:
-        options = AdapterOptions(shared_reward=True, agents_come_and_go=False)
-        super().__init__(lambda: SingleAgent(make_env()), copies, name, options)

@@ -1,8 +1,9 @@
-"""Check of module names in configurations: only installed packages that depend on PettingZoo are imported.
+"""Check of module names in configurations: only installed packages of environments are imported.
 
 Configurations are shared between people, and importing a Python object runs its code, so configurations name
 no Python objects. Module paths of environments are the exception, kept narrow: nothing is imported unless the
-package's own metadata says that it depends on PettingZoo.
+package's own metadata says that it depends on PettingZoo or, for a Gymnasium id, on Gymnasium. The other
+exception is a Python file, which a configuration names by its path.
 """
 
 import importlib.metadata
@@ -19,7 +20,7 @@ from headway.contracts import HeadwayError
 from headway.contracts.errors import one_line
 
 _PATH = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)+")
-_ON_PETTINGZOO = re.compile(r"pettingzoo\b", re.IGNORECASE)
+_MODULE = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)*")
 
 
 def require_environment_module(name: str) -> None:
@@ -31,22 +32,38 @@ def require_environment_module(name: str) -> None:
         raise HeadwayError(
             f"env.id={name} is not a public module; write package.module, such as mpe2.simple_spread_v3"
         )
-    package = name.split(".")[0]
-    spec = importlib.util.find_spec(package)
-    if spec is None:
-        raise HeadwayError(
-            f"env.id={name}: there is no package {package}; install it (pip install {package}), "
-            "or use a name that `headway list envs` shows"
-        )
-    if not _depends_on_pettingzoo(package, spec.origin or ""):
-        raise HeadwayError(
-            f"env.id={name}: {package} is not an installed package that depends on PettingZoo, and no other "
-            "is imported; declare the dependency, or register the environment by entry point headway.envs"
-        )
+    _require_package(name.split(".")[0], "PettingZoo", name)
     above, _, last = name.rpartition(".")
     siblings = _modules_in(above)
     if last not in siblings:
         raise HeadwayError(f"env.id={name}: no such module; {suggestion(last, siblings, f'{above}.')}")
+
+
+def require_gymnasium_module(module: str, env_id: str) -> None:
+    """Raise HeadwayError unless `module` belongs to an installed package that depends on Gymnasium.
+
+    `env_id`: the environment's id, for messages. Imports nothing.
+    """
+    if not _MODULE.fullmatch(module):
+        raise HeadwayError(f"env.id={env_id} is not MODULE:ID, such as gymnasium:CartPole-v1")
+    _require_package(module.split(".")[0], "Gymnasium", env_id)
+
+
+def _require_package(package: str, library: str, env_id: str) -> None:
+    spec = importlib.util.find_spec(package)
+    own_file = Path(*env_id.split(".")).with_suffix(".py")
+    or_file = f"; for your own file write env=./{own_file}" if own_file.is_file() else ""
+    if spec is None:
+        raise HeadwayError(
+            f"env.id={env_id}: there is no package {package}; install it (pip install {package}), "
+            f"or use a name that `headway list envs` shows{or_file}"
+        )
+    if not _depends_on(library.lower(), package, spec.origin or ""):
+        raise HeadwayError(
+            f"env.id={env_id}: {package} is not an installed package that depends on {library}, and no other "
+            "is imported; declare the dependency, or register the environment by entry point "
+            f"headway.envs{or_file}"
+        )
 
 
 def _modules_in(package: str) -> list[str]:
@@ -60,12 +77,13 @@ def _modules_in(package: str) -> list[str]:
 
 
 @cache
-def _depends_on_pettingzoo(package: str, origin: str) -> bool:
-    for distribution in importlib.metadata.distributions():
-        needs = any(_ON_PETTINGZOO.match(requirement) for requirement in distribution.requires or ())
-        if (needs or distribution.name.lower() == "pettingzoo") and _provides(distribution, package, origin):
-            return True
-    return False
+def _depends_on(library: str, package: str, origin: str) -> bool:
+    needs = re.compile(rf"{library}\b", re.IGNORECASE)
+    return any(
+        _provides(distribution, package, origin)
+        for distribution in importlib.metadata.distributions()
+        if distribution.name.lower() == library or any(map(needs.match, distribution.requires or ()))
+    )
 
 
 def _provides(distribution: importlib.metadata.Distribution, package: str, origin: str) -> bool:

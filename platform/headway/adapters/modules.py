@@ -1,8 +1,10 @@
-"""Any PettingZoo environment by module path: `env.id=mpe2.simple_spread_v3`.
+"""Any PettingZoo or Gymnasium environment, by module path, Python file or Gymnasium id.
 
-The module defines `parallel_env`, or else `env` (agents act in turns, AEC), which PettingZoo converts to a
-parallel environment if the environment declares this to be valid. `env.args` are the arguments of that
-function.
+`env.id=mpe2.simple_spread_v3` and `env.id=/lab/shuttle.py`: the module or file defines `parallel_env`, or
+else `env` (agents act in turns, AEC), which PettingZoo converts to a parallel environment if the environment
+declares this to be valid, or else exactly one subclass of ParallelEnv. `env.id=gymnasium:CartPole-v1`:
+Gymnasium's own form MODULE:ID, where importing the module registers the id; the environment has one agent.
+`env.args` are the arguments of that function or class.
 """
 
 import importlib
@@ -18,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from headway.adapters.installed import require_environment_module
+from headway.adapters.env_file import EnvFile, is_file_id
+from headway.adapters.installed import require_environment_module, require_gymnasium_module
 from headway.adapters.pettingzoo import NO_OPTIONS, AdapterOptions, ParallelEnvBatch
 from headway.config.signatures import argument_record, as_tuples, takes_any_arguments
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, RandomRule
@@ -33,18 +36,19 @@ class ModuleEnv:
     """An environment of a module with its arguments. Picklable."""
 
     module: str
-    """Module path."""
+    """Module path, path of a file, or Gymnasium id."""
     arguments: Mapping[str, Any]
     """Arguments that differ from the function's own defaults."""
     options: AdapterOptions
     """Adapter options."""
+    file: EnvFile | None = None
+    """The file, if `module` is its path."""
     notices: tuple[str, ...] = ()
     """Lines for the user."""
 
     def make(self) -> Any:  # noqa: ANN401 - PettingZoo comes without types
         """Return a new ParallelEnv. Raises HeadwayError if the module or the arguments cannot be used."""
-        module = _imported(self.module)
-        factory = _factory(self.module, module)
+        factory, _ = _callables(self.module, self.file)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
@@ -56,27 +60,35 @@ class ModuleEnv:
 
 
 def module_entry(
-    module: str, options: AdapterOptions = NO_OPTIONS, arguments: Iterable[str] = ()
+    module: str,
+    options: AdapterOptions = NO_OPTIONS,
+    arguments: Iterable[str] = (),
+    stored_digest: str | None = None,
 ) -> EnvEntry:
-    """Return the entry of the environment in a module.
+    """Return the entry of the environment in a module or file, or with a Gymnasium id.
 
     `arguments` are the keys that the user sets; they become the config's keys if the environment's function
-    accepts any keyword. An agent's group is its name without the number. Raises HeadwayError if the module is
-    not allowed, cannot be imported, or defines no environment.
+    accepts any keyword. `stored_digest`: `EnvFile.digest` when the configuration was stored; a notice says
+    that the file has changed since. An agent's group is its name without the number. Raises HeadwayError if
+    the module is not allowed, cannot be imported, or defines no environment.
     """
-    source = _signature_source(_imported(module), module)
+    file = EnvFile.read(module) if is_file_id(module) else None
+    notices: tuple[str, ...] = ()
+    if file is not None and stored_digest not in (None, file.digest):
+        notices = (f"{module} has changed since the run was started; results may differ from the run's",)
+    _, source = _callables(module, file)
     if source is None:
         record = make_dataclass("Arguments", [(key, Any) for key in arguments], frozen=True)
     else:
         record = argument_record("Arguments", source)
     return EnvEntry(
-        summary=f"the PettingZoo environment {module}",
+        summary=f"the environment {module}",
         config=record,
         make=make_batch,
-        prepare=partial(_prepare, module, options),
-        parallel_env=partial(_make_parallel, module, options),
+        prepare=partial(_prepare, ModuleEnv(module, {}, options, file, notices)),
+        parallel_env=partial(_make_parallel, ModuleEnv(module, {}, options, file)),
         rules={"random": RANDOM},
-        preload=("headway.adapters.modules", module),
+        preload=("headway.adapters.modules", *([] if file else [module.partition(":")[0]])),
     )
 
 
@@ -85,13 +97,14 @@ def make_batch(prepared: ModuleEnv, copies: int) -> BatchedEnv:
     return ParallelEnvBatch(prepared.make, copies, prepared.module, prepared.options)
 
 
-def _prepare(module: str, options: AdapterOptions, config: Any) -> ModuleEnv:  # noqa: ANN401 - its own record
-    prepared = ModuleEnv(module, _non_default(config), options)
+def _prepare(named: ModuleEnv, config: Any) -> ModuleEnv:  # noqa: ANN401 - its own record
+    prepared = replace(named, arguments=_non_default(config))
+    module, options = prepared.module, prepared.options
     env = prepared.make()
     groups = _groups(getattr(env, "possible_agents", ()))
-    notices: tuple[str, ...] = ()
+    notices = prepared.notices
     if options.shared_reward is None and _pays_all_alike(module, env, options):
-        notices = (
+        notices += (
             f"all agents of {module} got equal rewards in a few steps of random play: if they always do, set "
             "env.shared_reward=true, so that a central critic learns the team's return (false: no notice)",
         )
@@ -126,18 +139,55 @@ def _pays_all_alike(module: str, env: Any, options: AdapterOptions) -> bool:  # 
     return paid
 
 
-def _make_parallel(module: str, options: AdapterOptions, given: Any) -> Any:  # noqa: ANN401 - config or prepared
-    prepared = given if isinstance(given, ModuleEnv) else ModuleEnv(module, _non_default(given), options)
+def _make_parallel(named: ModuleEnv, given: Any) -> Any:  # noqa: ANN401 - config or prepared
+    prepared = given if isinstance(given, ModuleEnv) else replace(named, arguments=_non_default(given))
     return prepared.make()
 
 
-def _imported(name: str) -> ModuleType:
-    require_environment_module(name)
+Factory = Callable[..., Any]
+
+
+def _callables(name: str, file: EnvFile | None) -> tuple[Factory, Factory | None]:
+    """Return the function that makes an environment, and the one whose signature lists its arguments.
+
+    The latter is None if none does. Raises HeadwayError if the environment is not found.
+    """
+    if file is None and ":" in name:
+        return _gymnasium_callables(name)
+    module = _imported(name, file)
+    factory = _factory(name, module)
+    # PettingZoo's own functions pass `**kwargs` on to `raw_env`.
+    candidates = [factory, vars(module).get("raw_env"), vars(module).get("env")]
+    source = next((call for call in candidates if callable(call) and not takes_any_arguments(call)), None)
+    return factory, source
+
+
+def _gymnasium_callables(name: str) -> tuple[Factory, Factory | None]:
+    module = name.partition(":")[0]
+    require_gymnasium_module(module, name)
+    _imported(module)
+    import gymnasium
+    from gymnasium.envs.registration import load_env_creator
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            entry_point = gymnasium.spec(name.partition(":")[2]).entry_point
+            creator = load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
+    except Exception as error:  # an unknown id, or the environment's own code
+        raise HeadwayError(f"env.id={name} cannot be used: {one_line(error)}") from error
+    listed = creator is not None and not takes_any_arguments(creator)
+    return partial(gymnasium.make, name, disable_env_checker=True), creator if listed else None
+
+
+def _imported(name: str, file: EnvFile | None = None) -> ModuleType:
+    if file is None and ":" not in name and "." in name:
+        require_environment_module(name)
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # keeps pygame's greeting off stdout
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return importlib.import_module(name)
+            return file.load() if file else importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise HeadwayError(
             f"env.id={name} needs the package {error.name}, which is not installed: pip install {error.name}"
@@ -146,30 +196,44 @@ def _imported(name: str) -> ModuleType:
         raise HeadwayError(f"env.id={name} cannot be imported: {one_line(error)}") from error
 
 
-def _factory(name: str, module: ModuleType) -> Callable[..., Any]:
+def _factory(name: str, module: ModuleType) -> Factory:
+    from pettingzoo import ParallelEnv
+
     for attribute in ("parallel_env", "env"):
         factory = vars(module).get(attribute)
         if callable(factory):
-            found: Callable[..., Any] = factory
+            found: Factory = factory
             return found
-    raise HeadwayError(f"env.id={name} has neither parallel_env nor env: it is not a PettingZoo environment")
-
-
-def _signature_source(module: ModuleType, name: str) -> Callable[..., Any] | None:
-    """Return the callable whose signature lists the environment's arguments; None if none does.
-
-    PettingZoo's own functions pass `**kwargs` on to `raw_env`.
-    """
-    candidates = [_factory(name, module), vars(module).get("raw_env"), vars(module).get("env")]
-    return next((call for call in candidates if callable(call) and not takes_any_arguments(call)), None)
+    classes = [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type) and issubclass(value, ParallelEnv) and value.__module__ == module.__name__
+    ]
+    if len(classes) == 1:
+        return classes[0]
+    if classes:
+        names = ", ".join(each.__name__ for each in classes)
+        raise HeadwayError(
+            f"env.id={name} defines several environments ({names}); choose one there with a line such as "
+            f"parallel_env = {classes[-1].__name__}"
+        )
+    raise HeadwayError(
+        f"env.id={name} has neither parallel_env nor env, nor a subclass of ParallelEnv: it is not a "
+        "PettingZoo environment"
+    )
 
 
 def _parallel(name: str, env: Any) -> Any:  # noqa: ANN401 - PettingZoo comes without types
+    from gymnasium import Env
     from pettingzoo import AECEnv, ParallelEnv
     from pettingzoo.utils.conversions import aec_to_parallel
 
+    from headway.adapters.gymnasium import SingleAgent
+
     if isinstance(env, ParallelEnv):
         return env
+    if isinstance(env, Env):
+        return SingleAgent(env)
     if not isinstance(env, AECEnv):
         raise HeadwayError(
             f"env.id={name} makes an object of type {type(env).__name__}, which is neither a ParallelEnv nor "

@@ -40,8 +40,9 @@ class EnvConfig:
     """The environment and its arguments."""
 
     id: str = "bus"
-    """Registry name (see `headway list envs`), or the module path of a PettingZoo environment, such as
-    `mpe2.simple_spread_v3`."""
+    """Registry name (see `headway list envs`), the module path of a PettingZoo environment, such as
+    `mpe2.simple_spread_v3`, the path of a Python file that defines one, such as `./shuttle.py` (stored as an
+    absolute path), or a Gymnasium id with its module, such as `gymnasium:CartPole-v1`."""
     args: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the environment, validated by its own record."""
     training_args: Mapping[str, Any] | None = None
@@ -52,15 +53,19 @@ class EnvConfig:
     """Wrappers by name (see `headway list wrappers`), the innermost first: `[{name: frame_stack_v1,
     stack_size: 4}, clip_reward_v0]`. Wrappers that only change rewards are used in training only."""
     shared_reward: bool | None = None
-    """For PettingZoo environments by module path: whether all agents get the same reward at every step, so
-    that one value per team suffices for a central critic. If true, rewards are checked for equality. null:
-    false, with a notice before training if all rewards are equal in a few steps of random play, since only
-    the user can know whether they always are."""
+    """For PettingZoo environments by module path or file: whether all agents get the same reward at every
+    step, so that one value per team suffices for a central critic. If true, rewards are checked for equality.
+    null: false, with a notice before training if all rewards are equal in a few steps of random play, since
+    only the user can know whether they always are."""
     agents_come_and_go: bool | None = None
-    """For PettingZoo environments by module path: whether agents may leave before the episode ends. null: as
-    declared by the environment's metadata or infos, otherwise false."""
+    """For PettingZoo environments by module path or file: whether agents may leave before the episode ends.
+    null: as declared by the environment's metadata or infos, otherwise false."""
     max_copies_per_process: int | None = None
-    """For PettingZoo environments by module path: maximum number of copies in one process. null: no limit."""
+    """For PettingZoo environments by module path or file: maximum number of copies in one process.
+    null: no limit."""
+    file_digest: str | None = None
+    """Digest of the Python file that `id` names, written by Headway into a run's configuration: runs of a
+    changed file form another cell, and a notice says if it has changed since a run."""
 
     def __post_init__(self) -> None:
         limit = self.max_copies_per_process

@@ -1,6 +1,10 @@
-"""Protection against environments that fork."""
+"""Protection of processes against environments that fork, and against main modules."""
 
 import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 
 def end_if_forked(process_id: int) -> None:
@@ -10,3 +14,18 @@ def end_if_forked(process_id: int) -> None:
     """
     if os.getpid() != process_id:
         os._exit(1)
+
+
+@contextmanager
+def without_main_module() -> Iterator[None]:
+    """Start processes that do not import the main module, which may import torch or train on import."""
+    # Multiprocessing finds the main module by these two attributes.
+    main = sys.modules["__main__"]
+    hidden: dict[str, Any] = {
+        name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)
+    }
+    vars(main).update(dict.fromkeys(hidden))
+    try:
+        yield
+    finally:
+        vars(main).update(hidden)

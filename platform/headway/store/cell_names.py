@@ -9,6 +9,7 @@ from pathlib import Path
 from headway.config.experiment import NO_PRESET
 from headway.store.index import RunRow
 from headway.store.run_folder import RunRecord
+from headway.wording import environment_name
 
 _TASK_PREFIX = "env."
 _ARGS = "env.args."
@@ -76,10 +77,11 @@ def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
 
 def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
     """Return a name for each cell that is unique among `cells` and as short as possible."""
-    tasks = _unique_names({key: (cell.environment,) for key, cell in cells.items()}, cells, of_task=True)
+    kinds = {key: (environment_name(cell.environment),) for key, cell in cells.items()}
+    tasks = _unique_names(kinds, cells, of_task=True)
     # Controllers are compared within their own task: other tasks may need other settings.
-    kinds = {key: (cell.algorithm, tasks[key]) for key, cell in cells.items()}
-    controllers = _unique_names(kinds, cells, of_task=False)
+    pairs = {key: (cell.algorithm, tasks[key]) for key, cell in cells.items()}
+    controllers = _unique_names(pairs, cells, of_task=False)
     several = len(set(tasks.values())) > 1
     return {
         key: CellName(

@@ -135,17 +135,21 @@ def _newest_valid(
     raise HeadwayError(f"there is no checkpoint in {where}: start the run anew")
 
 
+class UnfitPolicyError(HeadwayError):
+    """A checkpoint's policies do not fit the environment."""
+
+
 def require_same_shapes(
     parameters: Parameters, policy: ActingPolicy, replicas: int, environment: str, run: Path
 ) -> None:
-    """Raise HeadwayError if a checkpoint's arrays do not have the shapes of `policy`.
+    """Raise UnfitPolicyError if a checkpoint's arrays do not have the shapes of `policy`.
 
     `parameters` are those of `replicas` replicas, from the run folder `run`.
     """
     # A run is loaded with its stored configuration, so shapes differ only if the environment has changed.
     for name, (shape, _) in policy.parameter_shapes(replicas).items():
         if name not in parameters or np.shape(parameters[name]) != shape:
-            raise HeadwayError(
+            raise UnfitPolicyError(
                 f"run {run.name} was trained on a version of {environment} with other observations, actions "
                 "or agents; train it again"
             )

@@ -24,6 +24,7 @@ from headway.config.experiment import StoreConfig
 from headway.config.schema import build
 from headway.contracts import HeadwayError
 from headway.store.atomic_files import make_folder, read_json, write_json
+from headway.wording import environment_name
 
 Status = Literal["RUNNING", "FINISHED", "KILLED", "FAILED"]
 STATUSES: tuple[Status, ...] = get_args(Status)
@@ -162,7 +163,7 @@ def cell_name(environment: str, algorithm: str, parameters: Mapping[str, str]) -
 
     first = hashed_parameters(algorithm, parameters)
     digest = sha256(dumps(sorted(first.items())).encode()).hexdigest()[:6]
-    return f"{_slug(environment)}-{_slug(algorithm)}-{digest}"
+    return f"{_slug(environment_name(environment).removesuffix('.py'))}-{_slug(algorithm)}-{digest}"
 
 
 def create_run_folder(root: Path, study: str, cell: str, seed: int) -> tuple[str, Path]:

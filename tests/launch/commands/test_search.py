@@ -13,6 +13,7 @@ from command_lines import Refused, RowsOf
 from headway.contracts.errors import HeadwayError
 from headway.store.index import RunIndex
 from headway_launch.commands.main import run
+from headway_launch.experiments.options import own_configs
 from headway_launch.experiments.search import read_search
 from headway_launch.runner.runner import Runner
 
@@ -114,13 +115,10 @@ def test_no_winner_is_named_while_another_session_trains_a_seed(
         ("base: [", "is not valid YAML"),
     ],
 )
-def test_a_broken_search_is_one_line(
-    content: str, line: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_broken_search_is_one_line(content: str, line: str, tmp_path: Path) -> None:
     (tmp_path / "search").mkdir()
     (tmp_path / "search" / "broken.yaml").write_text(content)
-    monkeypatch.setattr("headway_launch.experiments.search.configs_folder", lambda: tmp_path)
-    with pytest.raises(HeadwayError) as raised:
+    with own_configs(str(tmp_path)), pytest.raises(HeadwayError) as raised:
         read_search("broken")
     assert line in str(raised.value)
     assert "\n" not in str(raised.value)

@@ -91,7 +91,7 @@ def zoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         )
         (metadata / "RECORD").write_text(f"{name}/__init__.py,,\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    installed._depends_on_pettingzoo.cache_clear()
+    installed._depends_on.cache_clear()
     yield "somezoo"
     for module in [module for module in sys.modules if module.split(".")[0] in ("somezoo", "plainpackage")]:
         del sys.modules[module]
@@ -141,7 +141,7 @@ def test_unsuitable_arguments_are_one_line_errors(arguments: dict[str, Any], mes
         ("mpe3.simple_spread_v3", r"there is no package mpe3; install it \(pip install mpe3\)"),
         ("pettingzoo.butterfly.pistonball_v6", "needs the package pymunk, which is not installed: pip ins"),
         ("pettingzoo.classic.tictactoe_v2", "did you mean pettingzoo.classic.tictactoe_v3"),
-        ("mpe2.all_modules", "has neither parallel_env nor env: it is not a PettingZoo environment"),
+        ("mpe2.all_modules", "nor env, nor a subclass of ParallelEnv: it is not a PettingZoo environment"),
         ("mpe2._mpe_utils.simple_env", "is not a public module; write package.module"),
         ("os.path", "os is not an installed package that depends on PettingZoo, and no other is imported"),
         ("plainpackage.turns_v0", "plainpackage is not an installed package that depends on PettingZoo"),

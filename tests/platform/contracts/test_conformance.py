@@ -7,13 +7,12 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import gymnasium
 import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 from same_game import assert_same_game
 
 from headway.adapters.conformance import CHECKS, Make, play
-from headway.adapters.gymnasium import GymnasiumBatch
+from headway.adapters.modules import make_batch, module_entry
 from headway.adapters.pettingzoo import AdapterOptions, ParallelEnvBatch
 from headway.adapters.recording import Recording
 from headway_envs.registry import ENTRIES
@@ -46,7 +45,8 @@ def adapted(name: str) -> Make:
 
 
 def gymnasium_batch(name: str) -> Make:
-    return lambda copies: GymnasiumBatch(lambda: gymnasium.make(name), copies, name)
+    entry = module_entry(f"gymnasium:{name}")
+    return partial(make_batch, entry.prepare(entry.config()))
 
 
 CASES: dict[str, Callable[[], Make]] = {

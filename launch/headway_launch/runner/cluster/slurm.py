@@ -12,6 +12,7 @@ from headway.store.atomic_files import make_folder, write_text
 from headway.store.run_folder import plans_folder
 from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.options import own_folder
 from headway_launch.experiments.sweep import compose_sweep
 
 _TIME = re.compile(r"(\d+-)?\d+(:\d{1,2}){0,2}")
@@ -230,7 +231,7 @@ def write_cluster_script(overrides: Sequence[str], allocation: Allocation) -> Pa
             raise HeadwayError(f"{override}: the script starts its own Ray cluster; leave the override out")
     on_ray = [*overrides, "backend=ray"]
     experiments = compose_sweep([*on_ray, "backend.address=HOST:1"])
-    variables = {"overrides": on_ray}
+    variables = {"overrides": [*_config_dir_words(), *on_ray]}
     return _write("cluster", experiments, allocation, (), "%j.out", variables, _CLUSTER)
 
 
@@ -250,8 +251,13 @@ def write_array_script(overrides: Sequence[str], allocation: Allocation) -> Path
     seeds = [str(seed) for seed in experiments[0].config.seed]
     others = [word for word in overrides if word.partition("=")[0].lstrip("+") != "seed"]
     array = [f"#SBATCH --array=0-{len(seeds) - 1}"]
-    variables = {"overrides": others, "seeds": seeds}
+    variables = {"overrides": [*_config_dir_words(), *others], "seeds": seeds}
     return _write("array", experiments, allocation, array, "%A-%a.out", variables, _ARRAY)
+
+
+def _config_dir_words() -> list[str]:
+    folder = own_folder()
+    return [f"--config-dir={folder}"] if folder else []
 
 
 def _write(

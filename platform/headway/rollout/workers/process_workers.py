@@ -1,10 +1,9 @@
 """Worker processes on this machine, and the memory that the training process shares with them."""
 
 import multiprocessing
-import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from multiprocessing import connection
 from multiprocessing.context import ForkServerProcess
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 from headway.contracts import HeadwayError, Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway.contracts.trajectory import arrays_in, block_nbytes
+from headway.rollout.forks import without_main_module
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.workers.shared_memory import SharedBlock, SharedPickle
@@ -46,7 +46,7 @@ class ProcessLauncher:
         process = self.context.Process(
             target=run_worker, args=(self.setups[shard], theirs), name=f"headway worker {shard}", daemon=True
         )
-        with nullcontext() if self.plan.mentions_main else _without_main_module():
+        with nullcontext() if self.plan.mentions_main else without_main_module():
             _start(process)
         theirs.close()
         return ProcessConnection(process, ours)
@@ -155,18 +155,3 @@ def _start(process: ForkServerProcess) -> None:
         "the fork server, which starts worker processes, ends again and again (out of memory?); lower "
         "backend.workers or backend.parallel"
     ) from cause
-
-
-@contextmanager
-def _without_main_module() -> Iterator[None]:
-    """Start processes that do not import the main module, which may import torch or train on import."""
-    # Multiprocessing finds the main module by these two attributes.
-    main = sys.modules["__main__"]
-    hidden: dict[str, Any] = {
-        name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)
-    }
-    vars(main).update(dict.fromkeys(hidden))
-    try:
-        yield
-    finally:
-        vars(main).update(hidden)

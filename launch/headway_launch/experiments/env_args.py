@@ -1,0 +1,42 @@
+"""Changed environment arguments for the evaluation of a stored run."""
+
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from typing import Any
+
+from headway.contracts.errors import HeadwayError
+from headway_launch.experiments.compose import require_grammar
+
+_PREFIX = "env.args."
+
+
+def with_env_args(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+    """Return a stored configuration with other environment arguments, and the changes in words.
+
+    `overrides`: `env.args.KEY=VALUE` in Hydra's grammar. Raises HeadwayError for other keys: they concern
+    training only.
+    """
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    changed, changes = deepcopy(dict(mapping)), []
+    for override in overrides:
+        key = override.partition("=")[0]
+        if not key.startswith(_PREFIX) or "=" not in override:
+            raise HeadwayError(
+                f"{override}: a trained policy is evaluated with its own configuration; only "
+                "env.args.KEY=VALUE can be changed, and --episodes, --mode, --rules and --seed"
+            )
+        require_grammar([override])
+        parsed = OverridesParser.create().parse_override(override)
+        if parsed.is_sweep_override():
+            raise HeadwayError(f"{override}: give one value; evaluate once per value")
+        *parents, name = key.removeprefix(_PREFIX).split(".")
+        place = changed["env"]["args"]
+        for parent in parents:
+            place = place.setdefault(parent, {}) if isinstance(place, dict) else None
+        if not isinstance(place, dict):
+            raise HeadwayError(f"{override}: {key.rpartition('.')[0]} has no keys; give its value")
+        trained = f" (trained with {place[name]})" if name in place else ""
+        changes.append(f"{override}{trained}")
+        place[name] = parsed.value()
+    return changed, changes

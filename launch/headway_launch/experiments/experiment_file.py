@@ -1,0 +1,93 @@
+"""One experiment in a YAML file at any path: `headway run FILE.yaml`."""
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from headway.config.experiment import NO_PRESET
+from headway.config.schema import suggestion
+from headway.contracts.errors import HeadwayError
+from headway.registry import is_external
+from headway_launch.experiments.options import options
+from headway_launch.experiments.parameters import upgraded
+
+_EXPERIMENT = "experiment"
+_NAMED_BY = {"env": "id", "algo": "name", "backend": "name"}
+"""Key, per group, with which a stored configuration names the chosen option."""
+
+
+def split_experiment_file(overrides: Sequence[str]) -> tuple[Path | None, list[str]]:
+    """Return the experiment's file among overrides, if there is one, and the others.
+
+    Raises HeadwayError for a second experiment.
+    """
+    files = [word for word in overrides if _is_file(word)]
+    others = [word for word in overrides if word not in files]
+    second = [word for word in others if word.startswith(f"{_EXPERIMENT}=")]
+    if len(files) + len(second) > 1 and files:
+        raise HeadwayError(f"{' and '.join([*files, *second])} are two experiments; give one")
+    return (Path(files[0]) if files else None), others
+
+
+def _is_file(word: str) -> bool:
+    return word.endswith((".yaml", ".yml")) and ("=" not in word or Path(word).is_file())
+
+
+def choice_of_file(path: Path) -> str:
+    """Make the experiment in a file known to Hydra; return the override that chooses it.
+
+    A group's option may be given as `algo: mappo`, without Hydra's list of defaults. If the file is the
+    stored configuration of a run, missing keys have the values that the run had. Raises HeadwayError for a
+    file that cannot be used.
+    """
+    from hydra.core.config_store import ConfigStore
+
+    content = _content(path)
+    if path.name == "config.yaml" and path.with_name("run.json").is_file():
+        content = {**upgraded(content), "preset": NO_PRESET}  # its values are written out
+        if isinstance(env := content.get("env"), dict):
+            content["env"] = {key: value for key, value in env.items() if key != "file_digest"}
+    defaults = content.pop("defaults", None) or []
+    if not isinstance(defaults, list):
+        raise HeadwayError(f"{path}: defaults must be a list, such as [override /algo: mappo]")
+    for group, known in options().items():
+        if group in (_EXPERIMENT, "search") or group not in content:
+            continue
+        value = content[group]
+        named_by = _NAMED_BY.get(group, "")
+        if isinstance(value, str) and not (group == "env" and is_external(value)):
+            chosen = str(content.pop(group))
+            if chosen not in known:
+                raise HeadwayError(f"{path}: there is no {group} {chosen!r}; {suggestion(chosen, known)}")
+        elif isinstance(value, str):
+            content[group] = {named_by: value}
+            continue
+        elif isinstance(value, dict) and value.get(named_by) in known:
+            content[group] = {key: inner for key, inner in value.items() if key != named_by}
+            chosen = value[named_by]
+        else:
+            continue
+        defaults.append({f"override /{group}": chosen})
+    node = {"defaults": defaults, **content}
+    name = f"file_{hashlib.sha256(repr(node).encode()).hexdigest()[:16]}"
+    ConfigStore.instance().store(name, node, _EXPERIMENT, package="_global_")
+    return f"{_EXPERIMENT}={name}"
+
+
+def _content(path: Path) -> dict[str, Any]:
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+    from yaml import YAMLError
+
+    if not path.is_file():
+        raise HeadwayError(
+            f"{path}: there is no such file; give an experiment's YAML file, or experiment=NAME"
+        )
+    try:
+        content = OmegaConf.to_container(OmegaConf.load(path))
+    except (OSError, ValueError, RecursionError, YAMLError, OmegaConfBaseException) as error:
+        raise HeadwayError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
+    if not content or not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
+        raise HeadwayError(f"{path} must hold keys of an experiment, such as env: bus (`headway list keys`)")
+    return {str(key): value for key, value in content.items()}

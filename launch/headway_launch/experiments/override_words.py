@@ -1,0 +1,66 @@
+"""Overrides written from Python values, in Hydra's grammar."""
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from headway.contracts.errors import HeadwayError
+from headway_launch.experiments.options import options
+
+_WORD = re.compile(r"[A-Za-z_][\w.]*")
+"""Pattern of text that needs no quotes."""
+
+
+def override_words(keys: Mapping[str, Any], sweep: bool = False) -> list[str]:
+    """Return `KEY=VALUE` for each key with its Python value.
+
+    `sweep`: a list or tuple holds several values, of which each makes a cell; of `seed` it always holds
+    seeds. Text for `seed` and for groups, such as `algo`, stays as on the command line. Raises HeadwayError
+    for a value that a configuration cannot hold.
+    """
+    as_given = {"seed", *options()}
+    words = []
+    for key, value in keys.items():
+        if isinstance(value, str) and key in as_given:
+            words.append(f"{key}={value}")
+        elif sweep and key != "seed" and isinstance(value, list | tuple | range):
+            listed = ",".join(
+                each if isinstance(each, str) and key in as_given else _checked(key, each) for each in value
+            )
+            words.append(f"{key}={listed if len(value) == 1 else f'choice({listed})'}")
+        else:
+            words.append(f"{key}={_checked(key, value)}")
+    return words
+
+
+def written(value: object) -> str:
+    """Return a value in Hydra's grammar; numpy's numbers and arrays as Python's.
+
+    Raises TypeError for anything but None, numbers, text, lists and mappings.
+    """
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, Mapping):
+        return "{" + ",".join(f"{key}:{written(inner)}" for key, inner in value.items()) + "}"
+    if isinstance(value, str):
+        plain = _WORD.fullmatch(value) and value.lower() not in ("null", "true", "false", "nan", "inf")
+        return value if plain else json.dumps(value)
+    if isinstance(value, list | tuple | range):
+        return "[" + ",".join(map(written, value)) + "]"
+    if isinstance(value, int | float):
+        return repr(value)
+    raise TypeError(type(value).__name__)
+
+
+def _checked(key: str, value: object) -> str:
+    try:
+        return written(value)
+    except TypeError as error:
+        raise HeadwayError(
+            f"{key} cannot be a {error}; give None, a number, text, or a list or mapping of these"
+        ) from error

@@ -1,0 +1,73 @@
+"""`headway evaluate` on an environment with other arguments than the run was trained with."""
+
+from pathlib import Path
+
+import pytest
+from command_lines import Refused
+from shuttle import SHUTTLE
+from small_runs import SMALL
+
+from headway.contracts import HeadwayError
+from headway.store.index import RunIndex
+from headway_launch.commands.main import run
+from headway_launch.experiments.env_args import with_env_args
+
+
+@pytest.mark.slow
+def test_a_policy_and_the_rules_play_the_changed_environment(
+    empty_folder: Path, capsys: pytest.CaptureFixture[str], refused: Refused
+) -> None:
+    """Agent i of `SHUTTLE` is paid (i + 1) x fare at each step; the return is the mean over agents."""
+    Path("shuttle.py").write_text(SHUTTLE)
+    words = ("run", "env=./shuttle.py", "algo=ippo", *SMALL, "env.shared_reward=false")
+    assert run([*words, "algo.policies=shared", "algo.agent_id=false"]) == 0
+    assert run([*words, "algo.policies=independent"]) == 0
+    shared, independent = (
+        row.run_id for row in sorted(RunIndex(Path("runs")).rows(), key=lambda row: row.started)
+    )
+
+    def returns(name: str, *changes: str) -> list[float]:
+        capsys.readouterr()
+        assert run(["evaluate", name, "--episodes=2", *changes]) == 0
+        rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+        return [float(row[2]) for row in rows[1:]]
+
+    assert returns(shared) == [7.5, 7.5]
+    assert returns(shared, "env.args.fare=2", "env.args.steps=4") == [12.0, 12.0]
+    assert returns(shared, "env.args.cars=3") == [10.0, 10.0]
+    assert returns(independent, "env.args.fare=0.5") == [3.75, 3.75]
+    assert run(["evaluate", shared, "--episodes=2", "env.args.fare=2"]) == 0
+    line = "headway: evaluated on a changed environment: env.args.fare=2 (trained with 1.0)\n"
+    assert line in capsys.readouterr().err
+    assert "with env.args.cars=3 observations, actions or agents have other shapes" in refused(
+        "evaluate", independent, "env.args.cars=3"
+    )
+    assert "env.args.fair is not a key of" in refused("evaluate", shared, "env.args.fair=2")
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("algo.lr=3", "algo.lr=3: a trained policy is evaluated with its own configuration; only env.args"),
+        ("env.training_args.reward=1", "only env.args.KEY=VALUE can be changed"),
+        ("env=merge", "only env.args.KEY=VALUE can be changed"),
+        ("env.args.steps", "only env.args.KEY=VALUE can be changed"),
+        ("env.args.steps=1,2", "env.args.steps=1,2: give one value"),
+        ("env.args.steps=[", "is not valid in Hydra's grammar"),
+        ("env.args.steps.more=2", "env.args.steps has no keys; give its value"),
+    ],
+)
+def test_other_changes_are_one_line(override: str, line: str) -> None:
+    with pytest.raises(HeadwayError) as caught:
+        with_env_args({"env": {"args": {"steps": 3}}}, [override])
+    assert line in str(caught.value)
+
+
+def test_nested_arguments_are_changed_and_others_kept() -> None:
+    stored = {"env": {"id": "x", "args": {"reward": {"kind": "own", "scale": 1.0}, "day": 2}}, "seed": [1]}
+    overrides = ["env.args.reward.scale=0.5", "env.args.day=null", "env.args.names=[a,'b c']"]
+    changed, changes = with_env_args(stored, overrides)
+    args = {"reward": {"kind": "own", "scale": 0.5}, "day": None, "names": ["a", "b c"]}
+    assert changed == {"env": {"id": "x", "args": args}, "seed": [1]}
+    assert changes[0] == "env.args.reward.scale=0.5 (trained with 1.0)"
+    assert stored["env"]["args"]["day"] == 2  # type: ignore[index]

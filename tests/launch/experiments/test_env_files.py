@@ -1,0 +1,95 @@
+"""The life of a run whose environment is a Python file: trained, resumed, evaluated, edited, removed."""
+
+from pathlib import Path
+
+import pytest
+from command_lines import Refused, RowsOf
+from shuttle import SHUTTLE
+from small_runs import SMALL, end_as
+
+from headway.store.index import RunIndex, RunRow
+from headway_launch.commands.main import run
+from headway_launch.experiments.compose import compose
+
+FILE = Path("my lab/shuttle.py")
+SWEEP = ("sweep", "env=my lab/shuttle.py", "algo=ippo", "study=own", *SMALL, "env.shared_reward=false")
+
+
+@pytest.fixture
+def _file(empty_folder: Path) -> None:
+    FILE.parent.mkdir()
+    FILE.write_text(SHUTTLE)
+
+
+def _runs() -> list[RunRow]:
+    return sorted(RunIndex(Path("runs")).rows(), key=lambda row: row.started)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("_file")
+def test_a_run_finds_its_file_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, refused: Refused
+) -> None:
+    """From another folder; edited, it is another cell; removed, only what plays it is refused."""
+    assert run(SWEEP) == 0
+    shown = capsys.readouterr()
+    assert "imported" in shown.err
+    assert "imported" not in shown.out
+    [first] = _runs()
+    file = (tmp_path / FILE).resolve()
+    assert first.environment == str(file)
+    assert first.run_id.startswith("shuttle-ippo-")
+
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    store = f"--store={tmp_path / 'runs'}"
+    end_as(first.directory)
+    assert run(["resume", first.run_id, store]) == 0
+    evaluate = ["evaluate", first.run_id, "--episodes=1", store]
+    assert run(evaluate) == 0
+    shown = capsys.readouterr()
+    assert "has changed" not in shown.err
+    # Each of 5 steps pays 1 and 2: see SHUTTLE.
+    assert "ippo greedy\t1\t7.5\t" in shown.out
+
+    file.write_text(SHUTTLE.replace("FARE = 1.0", "FARE = 3.0"))
+    assert run(evaluate) == 0
+    shown = capsys.readouterr()
+    assert f"headway: {file} has changed since the run was started" in shown.err
+    assert "ippo greedy\t1\t22.5\t" in shown.out
+    monkeypatch.chdir(tmp_path)
+    assert run(SWEEP) == 0
+    assert "has changed" not in capsys.readouterr().err
+    one, other = _runs()
+    assert one.cell != other.cell
+
+    file.unlink()
+    for words in (evaluate, ["resume", "--study=own", store], SWEEP):
+        end_as(first.directory)
+        assert f"env.id={file}: there is no such file; if a run used it, put it back" in refused(*words)
+    end_as(first.directory, "FINISHED")
+    for words in (["runs"], ["report", "own", "--output", "page"], ["diff", one.run_id, other.run_id]):
+        assert run(words) == 0, capsys.readouterr().err
+    assert "shuttle.py, env.file_digest=" in Path("page/report.html").read_text()
+
+
+@pytest.mark.usefixtures("_file")
+def test_files_in_several_forms_of_overrides(rows_of: RowsOf, refused: Refused) -> None:
+    file = str(FILE.resolve())
+    for word in (f"env={FILE}", f"env={file}", f"env='{FILE}'", f"env.id='{FILE}'"):
+        assert compose([word, "algo=ippo", "env.args.fare=2"]).config.env.id == file
+    assert ["env.args.fare", "number", "1.0", ""] in rows_of("list", "envs", str(FILE))
+    assert "env.args.fares is not a key of" in refused("run", f"env={FILE}", "env.args.fares=2")
+    assert refused("run", "env=my lab/shuttel.py").startswith(f"headway: env.id={Path('my lab').resolve()}")
+
+
+def test_names_of_files_without_their_path_are_recognised(empty_folder: Path, refused: Refused) -> None:
+    Path("lab").mkdir()
+    for name in ("shuttle.py", "lab/shuttle.py"):
+        Path(name).write_text(SHUTTLE)
+    assert refused("run", "env=shuttle").endswith(", or your file env=./shuttle.py\n")
+    assert refused("run", "env=lab.shuttle").endswith("; for your own file write env=./lab/shuttle.py\n")
+    assert "env.file_digest is for" in refused("run", "env=trivial", "env.file_digest=abc")
+    module = "env=mpe2.simple_spread_v3"
+    assert "env.file_digest is for Python files only" in refused("run", module, "env.file_digest=abc")

@@ -1,0 +1,189 @@
+"""Experiments outside the project: a file at any path, a folder of groups, a run's stored configuration."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from command_lines import Refused, RowsOf
+from small_runs import SMALL
+
+from headway.config.schema import plain
+from headway.store.index import RunIndex
+from headway_launch.commands.main import run
+from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.options import own_configs
+from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
+from headway_launch.experiments.search import read_search
+from headway_launch.experiments.sweep import compose_sweep
+
+MINE = """
+# Ours.
+env: merge
+algo: mappo
+preset: merge_tuned
+study: ours
+seed: 0..2
+env_steps: 3e4
+algo_config: &lr {lr: 1e-3}
+"""
+OURS = """\
+# Trains quickly.
+defaults:
+  - override /env: tracking
+  - override /algo: ippo
+  - override /preset: quick
+
+env_steps: 128
+"""
+QUICK = "ippo: {algo: {lr: 0.002}, rollout: {copies: 4, block: 2}}\n"
+SEARCH = "base: [experiment=ours, seed=9]\ncells: {all: []}\ncandidates: {a: [algo.lr=1], b: [algo.lr=2]}\n"
+
+
+def written(path: str, text: str) -> Path:
+    file = Path(path)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text)
+    return file
+
+
+@pytest.fixture
+def folder(empty_folder: Path) -> str:
+    """Folder of configurations with an experiment, its preset and a search."""
+    written("our lab/experiment/ours.yaml", OURS)
+    written("our lab/preset/quick.yaml", QUICK)
+    written("our lab/search/rates.yaml", SEARCH)
+    written("our lab/data/notes.yaml", "no: group")
+    return "our lab"
+
+
+def lr(experiment: Experiment) -> float:
+    return float(experiment.algo_config.lr)
+
+
+@pytest.mark.usefixtures("empty_folder")
+def test_a_file_is_an_experiment_like_those_of_the_project() -> None:
+    """Its groups may be given by name; overrides have precedence, also over the choice of a group."""
+    text = MINE.replace("algo_config: &lr {lr: 1e-3}", "evaluation: {rules: []}")
+    file = str(written("some where/mine.yml", text))
+    experiment = compose([file])
+    words = ["env=merge", "algo=mappo", "preset=merge_tuned", "study=ours", "seed=0..2", "env_steps=3e4"]
+    same = compose([*words, "evaluation.rules=[]"])
+    assert full_mapping(experiment, (0,)) == full_mapping(same, (0,))
+    assert experiment.config.seed == (0, 1, 2)
+    changed = compose([file, "algo=ippo", "algo.lr=0.5", "seed=7"])
+    assert (changed.algo_name, lr(changed), changed.config.seed) == ("ippo", 0.5, (7,))
+    swept = compose_sweep([file, "algo=ippo,mappo", "algo.lr=0.1,0.2"])
+    assert [(each.algo_name, lr(each)) for each in swept] == [
+        ("ippo", 0.1), ("ippo", 0.2), ("mappo", 0.1), ("mappo", 0.2),
+    ]  # fmt: skip
+
+
+def test_files_of_the_project_can_be_given_by_path() -> None:
+    configs = Path(__file__).parents[3] / "configs" / "experiment"
+    for name in ("bus_mappo", "mpe2_spread"):
+        by_path, by_name = compose([str(configs / f"{name}.yaml")]), compose([f"experiment={name}"])
+        assert full_mapping(by_path, (0,)) == full_mapping(by_name, (0,))
+
+
+@pytest.mark.usefixtures("empty_folder")
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("", "must hold keys of an experiment, such as env: bus"),
+        ("[env, bus]", "must hold keys of an experiment"),
+        ("1: 2", "must hold keys of an experiment"),
+        ("env: [", "bad.yaml is not valid YAML: "),
+        ("\0", "bad.yaml is not valid YAML: "),
+        ("[" * 5000, "bad.yaml is not valid YAML: "),
+        ("env: ${nothing}", "nothing"),
+        ("env: trivial\nalgo: mapo", "bad.yaml: there is no algo 'mapo'; did you mean mappo?"),
+        ("env: trivial\ndefaults: {a: b}", "bad.yaml: defaults must be a list"),
+        ("env: trivial\ndefaults: [override /algo: mapo]", "mapo"),
+        ("env: trivial\nalgo: ippo\nsede: 3", "sede is not a key of the experiment; did you mean seed?"),
+        ("env: trivial\nalgo: {name: ippo, lr: high}", "algo.lr='high' is text, where a number is wanted"),
+        ("env: trivial\nstudy: {_target_: os.system}", "_target_"),
+        ("algo: ippo", "no experiment is named"),
+    ],
+)
+def test_a_bad_file_is_one_line(text: str, line: str, refused: Refused) -> None:
+    assert line in refused("run", str(written("bad.yaml", text)))
+
+
+def test_no_file_and_two_experiments_are_one_line(empty_folder: Path, refused: Refused) -> None:
+    assert "no.yaml: there is no such file; give an experiment's YAML file" in refused("run", "no.yaml")
+    Path("folder.yaml").mkdir()
+    assert "folder.yaml: there is no such file" in refused("sweep", "folder.yaml")
+    written("mine.yaml", "env: trivial\nalgo: ippo\n")
+    for other in ("experiment=bus_mappo", "folder.yaml"):
+        assert f"mine.yaml and {other} are two experiments" in refused("run", "mine.yaml", other).replace(
+            "folder.yaml and mine.yaml", "mine.yaml and folder.yaml"
+        )
+
+
+@pytest.mark.slow
+def test_a_stored_configuration_trains_again(folder: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """In the same cell; also a run of a preset that is no longer there, and with other values."""
+    words = ["experiment=ours", *SMALL, "env.args.steps=8"]
+    assert run(["run", "--config-dir", folder, *words, "seed=3"]) == 0
+    [first] = RunIndex(Path("runs")).rows()
+    assert (first.preset, first.seed) == ("quick", 3)
+    # Without the folder.
+    assert run(["evaluate", first.run_id, "--episodes=1"]) == 0
+    stored = str(Path(first.directory, "config.yaml"))
+    mapping = yaml.safe_load(Path(stored).read_text())
+    again = compose([stored])
+    assert identity(full_mapping(again, [3])) == identity(mapping)
+    assert plain(again.config.rollout) == mapping["rollout"]
+    assert lr(again) == 0.002
+    assert lr(compose([stored, "algo.lr=0.5"])) == 0.5
+    assert run(["run", stored, "seed=4"]) == 0, capsys.readouterr().err
+    assert len({row.cell for row in RunIndex(Path("runs")).rows()}) == 1
+
+
+def test_a_folder_adds_to_all_commands_that_compose(
+    folder: str, rows_of: RowsOf, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with own_configs(folder):
+        experiment = compose(["experiment=ours"])
+        assert (experiment.config.preset, lr(experiment)) == ("quick", 0.002)
+        assert lr(compose(["env=trivial", "algo=ippo", "preset=quick"])) == 0.002
+        points = read_search("rates").points()
+        assert {lr(each) for each in points.values()} == {1.0, 2.0}
+        swept = compose_sweep(["experiment=ours", "preset=quick,none"])
+        assert [each.config.preset for each in swept] == ["quick", "none"]
+    option = f"--config-dir={folder}"
+    assert ["ours", "Trains quickly."] in rows_of("list", "experiments", option)
+    assert run(["list", "presets", "quick", option]) == 0
+    assert capsys.readouterr().out == QUICK
+    assert ["ours", "Trains quickly."] not in rows_of("list", "experiments")
+    words = ("--slurm", "--cpus=2", "seed=0", f"store.root={Path.cwd()}")
+    assert run(["sweep", "experiment=ours", option, *words, "--array"]) == 0
+    script = Path(capsys.readouterr().out.strip()).read_text()
+    assert f"--config-dir={Path(folder).resolve()}" in script
+
+
+def test_bad_folders_are_one_line(folder: str, refused: Refused) -> None:
+    Path("empty").mkdir()
+    for name in ("empty", "nowhere", "our lab/data", "our lab/experiment/ours.yaml"):
+        assert f"--config-dir {name} has no YAML files in a folder" in refused(
+            "run", "--config-dir", name, "experiment=ours"
+        )
+    given = ("run", "--config-dir", folder)
+    assert "did you mean experiment=ours?" in refused(*given, "experiment=our")
+    assert "there is no such experiment" in refused("run", "experiment=ours")
+    written(f"{folder}/experiment/ours.yaml", "env: [")
+    assert "ours.yaml is not valid YAML" in refused(*given, "experiment=ours")
+    written(f"{folder}/experiment/deep/ours.yaml", "env: trivial\nalgo: ippo\npreset: slow")
+    assert "there is no preset 'slow'" in refused(*given, "experiment=deep/ours")
+    written(f"{folder}/preset/quick.yaml", "ippo: [")
+    assert "preset/quick.yaml" in refused(*given, "env=trivial", "algo=ippo", "preset=quick")
+    written(f"{folder}/experiment/bus_mappo.yaml", OURS)
+    line = refused(*given, "experiment=bus_mappo")
+    assert "bus_mappo.yaml: Headway's own experiment has this name; choose another" in line
+
+
+def test_parameters_of_a_cell_do_not_name_the_file(empty_folder: Path) -> None:
+    """A cell is the same, whatever file it was described in."""
+    for name in ("one.yaml", "other.yaml"):
+        written(name, "env: trivial\nalgo: ippo\n")
+    assert cell_parameters(compose(["one.yaml"])) == cell_parameters(compose(["other.yaml"]))

@@ -1,0 +1,143 @@
+"""Environments in Python files of the user's own."""
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from textwrap import dedent
+
+import numpy as np
+import pytest
+from shuttle import SHUTTLE
+
+from headway.adapters.env_file import EnvFile, absolute_id
+from headway.adapters.modules import module_entry
+from headway.config.schema import build, describe
+from headway.contracts import BatchedEnv, HeadwayError
+
+ROUNDS = """
+from mpe2 import simple_spread_v3
+
+def parallel_env(agents: int = 2):
+    return simple_spread_v3.parallel_env(N=agents)
+"""
+
+
+def written(folder: Path, text: str, name: str = "shuttle.py") -> str:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(dedent(text))
+    return str(path)
+
+
+def one_copy(path: str, **arguments: object) -> BatchedEnv:
+    entry = module_entry(path, arguments=arguments)
+    return entry.make(entry.prepare(build(entry.config, arguments, "env.args", path)), 1)
+
+
+def first_rewards(env: BatchedEnv) -> list[float]:
+    env.reset(np.zeros(1, dtype=np.uint64))
+    rewards: list[float] = env.step(np.zeros((1, env.spec.num_agents), dtype=np.int64))[0].rewards[0].tolist()
+    return rewards
+
+
+def test_the_only_class_of_a_file_is_the_environment(tmp_path: Path) -> None:
+    path = written(tmp_path, SHUTTLE)
+    keys = {row.key: row.default for row in describe(module_entry(path).config)}
+    assert keys == {"cars": "2", "steps": "5", "fare": "1.0"}
+    assert first_rewards(one_copy(path, cars=3, fare=2.0)) == [2.0, 4.0, 6.0]
+
+
+def test_a_function_is_preferred_to_classes(tmp_path: Path) -> None:
+    path = written(tmp_path, SHUTTLE + "\n\ndef parallel_env(size: int):\n    return Shuttle(cars=size)\n")
+    assert one_copy(path, size=4).spec.num_agents == 4
+    assert one_copy(written(tmp_path, ROUNDS, "rounds.py"), agents=3).spec.num_agents == 3
+
+
+def test_a_function_may_return_a_gymnasium_environment(tmp_path: Path) -> None:
+    path = written(tmp_path, "import gymnasium\n\ndef env():\n    return gymnasium.make('CartPole-v1')\n")
+    assert one_copy(path).spec.agents == ("agent",)
+
+
+def test_neighbours_can_be_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    written(tmp_path, "FARE = 7.0", "fares_nearby.py")
+    beside = written(tmp_path, SHUTTLE.replace("FARE = 1.0", "from fares_nearby import FARE"))
+    assert first_rewards(one_copy(beside)) == [7.0, 14.0]
+    for name in ("ownlab/__init__.py", "ownlab/envs/__init__.py"):
+        written(tmp_path, "", name)
+    written(tmp_path, "FARE = 8.0", "ownlab/fares.py")
+    text = SHUTTLE.replace("FARE = 1.0", "from ..fares import FARE")
+    inside = written(tmp_path, text, "ownlab/envs/shuttle.py")
+    assert first_rewards(one_copy(inside)) == [8.0, 16.0]
+
+
+def test_another_process_runs_the_text_that_was_read(tmp_path: Path) -> None:
+    """Also when the file was changed or removed after the session began."""
+    path = written(tmp_path, SHUTTLE)
+    entry = module_entry(path)
+    prepared = entry.prepare(entry.config())
+    Path(path).write_text(SHUTTLE.replace("FARE = 1.0", "FARE = 100.0"))
+    (tmp_path / "prepared").write_bytes(pickle.dumps((entry.make, prepared)))
+    code = (
+        "import pickle, sys, numpy as np; make, prepared = pickle.load(open(sys.argv[1], 'rb'))\n"
+        "env = make(prepared, 1); env.reset(np.zeros(1, np.uint64))\n"
+        "print(env.step(np.zeros((1, 2), int))[0].rewards.tolist())"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "prepared")]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert shown.stdout.splitlines()[-1] == "[[1.0, 2.0]]"
+
+
+def test_an_edited_file_is_read_again_and_said_to_have_changed(tmp_path: Path) -> None:
+    path = written(tmp_path, SHUTTLE)
+    digest = EnvFile.read(path).digest
+    assert first_rewards(one_copy(path)) == [1.0, 2.0]
+
+    def notices() -> tuple[str, ...]:
+        entry = module_entry(path, stored_digest=digest)
+        found: tuple[str, ...] = entry.prepare(entry.config()).notices
+        return found
+
+    assert notices() == ()
+    written(tmp_path, SHUTTLE.replace("FARE = 1.0", "FARE = 3.0"))
+    assert first_rewards(one_copy(path)) == [3.0, 6.0]
+    [line] = notices()
+    assert line.startswith(f"{path} has changed since the run was started")
+
+
+def test_paths_are_made_absolute_and_other_ids_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert absolute_id("lab/../shuttle.py") == str(tmp_path.resolve() / "shuttle.py")
+    assert absolute_id("mpe2.simple_spread_v3") == "mpe2.simple_spread_v3"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x = 1", "has neither parallel_env nor env, nor a subclass of ParallelEnv"),
+        ("from pettingzoo import ParallelEnv", "has neither parallel_env nor env, nor a subclass"),
+        (
+            SHUTTLE + "\nclass Other(Shuttle): pass\n",
+            r"several environments \(Shuttle, Other\).*parallel_env = ",
+        ),
+        ("def broken(:", r"cannot be imported: SyntaxError: .*shuttle.py, line 1\)"),
+        ("1 / 0", "cannot be imported: ZeroDivisionError"),
+        ("import some_missing_simulator", "needs the package some_missing_simulator"),
+        ("def env():\n    return 3", "an object of type int, which is neither a ParallelEnv nor an AECEnv"),
+        (
+            "def env():\n    raise ValueError('no fuel')",
+            "cannot be made with its defaults: ValueError: no fuel",
+        ),
+    ],
+)
+def test_unusable_files_are_one_line_errors(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(HeadwayError, match=message) as caught:
+        one_copy(written(tmp_path, text))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_a_one_line_error(tmp_path: Path) -> None:
+    for path in (tmp_path / "gone.py", tmp_path):
+        with pytest.raises(HeadwayError, match="there is no such file; if a run used it, put it back there"):
+            EnvFile.read(str(path))
