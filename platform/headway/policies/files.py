@@ -6,6 +6,7 @@ An ONNX or TorchScript file computes `headway.policies.network.Evaluation` (acti
 
 import io
 import warnings
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,6 +31,8 @@ def _npz_bytes(description: PolicyDescription, arrays: Arrays) -> bytes:
 
 
 def _read_npz(path: Path) -> Policy:
+    if not zipfile.is_zipfile(path):  # numpy would advise to load it unsafely
+        raise ValueError("it is no npz file")
     with np.load(path, allow_pickle=False) as stored:
         description = PolicyDescription.from_json(str(stored[_ENTRY]))
         arrays = {name: stored[name] for name in description.network.array_names}
