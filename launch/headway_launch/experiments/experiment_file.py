@@ -9,8 +9,8 @@ from headway.config.experiment import NO_PRESET
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.registry import is_external
+from headway.store.run_configuration import upgraded
 from headway_launch.experiments.options import options
-from headway_launch.experiments.parameters import upgraded
 
 _EXPERIMENT = "experiment"
 _NAMED_BY = {"env": "id", "algo": "name", "backend": "name"}

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -38,8 +38,11 @@ class StoredRun:
     def read(cls, root: Path, directory: Path) -> "StoredRun":
         """Return the run stored in `directory`. Raises HeadwayError if the folder is incomplete."""
         mapping = read_configuration(directory)
+        store = mapping.get("store", {})
+        if not isinstance(store, Mapping):
+            raise HeadwayError(f"{directory / 'config.yaml'}: store={store} is no mapping; restore the file")
         # The store may have been moved since the run was written.
-        mapping["store"] = {**mapping.get("store", {}), "root": str(root)}
+        mapping["store"] = {**store, "root": str(root)}
         return cls(directory, RunRecord.read(directory), mapping, RunPlan.read(directory))
 
     @property

@@ -45,6 +45,12 @@ def test_a_configuration_nested_without_end_is_one_line(piece: str, tmp_path: Pa
         read_configuration(tmp_path)
 
 
+def test_a_configuration_whose_store_is_no_mapping_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text("store: ../..")
+    with pytest.raises(HeadwayError, match=r"config\.yaml: store=\.\./\.\. is no mapping; restore the file"):
+        StoredRun.read(tmp_path, tmp_path)
+
+
 def _only_run() -> StoredRun:
     [record] = Path("runs").glob("*/*/run.json")
     return StoredRun.read(Path("runs"), record.parent)

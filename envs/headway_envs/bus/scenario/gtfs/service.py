@@ -61,7 +61,11 @@ def _service(feed: Feed) -> tuple[list[dt.date], list[str], NDArray[np.bool_]]:
     if (last - first).days > 20_000:
         raise HeadwayError(f"FEED: its dates span {first} to {last}; correct the wrong ones")
     dates = [first + dt.timedelta(days=n) for n in range((last - first).days + 1)]
-    services = sorted({*calendar["service_id"].dropna(), *exceptions["service_id"].dropna()})
+    for name, frame in (("calendar", calendar), ("calendar_dates", exceptions)):
+        if frame["service_id"].isna().any():
+            row = frame.index[frame["service_id"].isna()][0]
+            raise HeadwayError(f"FEED: {name}.txt, line {row + 2}: service_id is blank; name the service")
+    services = sorted({*calendar["service_id"], *exceptions["service_id"]})
     place = {service: i for i, service in enumerate(services)}
     runs = np.zeros((len(dates), len(services)), np.bool_)
     weekday = np.array([date.weekday() for date in dates])

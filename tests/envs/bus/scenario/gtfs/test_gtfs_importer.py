@@ -268,6 +268,7 @@ def test_passengers_arrive_when_buses_run(write_feed: FeedWriter) -> None:
             {"frequencies": FREQUENCIES + "out,06:00:00,07:00:00,0.001\n"},
             "line 2: headway_secs must be at lea",
         ),
+        ({"calendar_dates": DATES + "work,20240507,1\n,20240508,1\n"}, "line 3: service_id is blank; name"),
         ({"calendar_dates": DATES + "work,2024-05-07,1\n"}, "line 2, date: '2024-05-07' is not a date YYYYM"),
     ],
 )
