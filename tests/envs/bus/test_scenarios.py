@@ -209,7 +209,9 @@ def test_faults_of_folders_are_named(tables: Tables, tmp_path: Path) -> None:
     with pytest.raises(HeadwayError, match=r"meta\.json is missing or no regular file"):
         read_tables(tmp_path)
     (tmp_path / "meta.json").unlink()
-    for meta, line in (("{", "is not valid JSON"), ("[]", "holds no JSON object")):
+    for meta, line in (
+        ("{", "is not valid JSON"), ("[" * 100_000, "is not valid JSON"), ("[]", "holds no JSON object")
+    ):  # fmt: skip
         (tmp_path / "meta.json").write_text(meta)
         with pytest.raises(HeadwayError, match=f"meta.json {line}"):
             read_tables(tmp_path)

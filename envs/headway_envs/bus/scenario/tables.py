@@ -141,7 +141,7 @@ def read_tables(folder: str | Path) -> Tables:
         meta = json.loads(meta_path.read_text())
     except OSError as error:
         raise HeadwayError(f"{meta_path} cannot be read ({error.strerror}): replace it") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise HeadwayError(f"{meta_path} is not valid JSON: {error}; correct it") from error
     if not isinstance(meta, dict):
         raise HeadwayError(f"{meta_path} holds no JSON object; write one, at least {{}}")
