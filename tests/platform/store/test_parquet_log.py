@@ -171,6 +171,10 @@ def test_a_segment_without_a_required_column_is_named(column: str, tmp_path: Pat
     run.commit(1)
     with pytest.raises(HeadwayError, match=rf"evaluation-000001\.parquet lacks column {column}: remove it"):
         parquet_log.read(tmp_path, "evaluation")
+    run.append("evaluation", [row])
+    run.commit(1)  # extends the segment: the first row lacks a value
+    with pytest.raises(HeadwayError, match=rf"evaluation-000001\.parquet lacks values of {column}: remove"):
+        parquet_log.read_rows(tmp_path, "evaluation")
 
 
 def test_a_broken_segment_is_named(tmp_path: Path) -> None:
