@@ -17,6 +17,7 @@ from small_runs import SMALL
 from headway.contracts import HeadwayError
 from headway_launch.api import run, sweep
 from headway_launch.commands.main import run as run_command
+from headway_launch.console.threads import ONE_THREAD
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.override_words import override_words
 from headway_launch.experiments.sweep import compose_sweep
@@ -28,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 @pytest.mark.slow
 def test_run_and_sweep_return_their_runs(capsys: pytest.CaptureFixture[str]) -> None:
     """Only theirs; a sweep also those that had finished. They are those of the commands."""
-    before = dict(os.environ)
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
     first = run(*TINY, seed=range(2), **{"algo.lr": np.float64(1e-3)})
     assert "rule random" in capsys.readouterr().out
     again = run(*TINY, seed=1, **{"algo.lr": 1e-3})
@@ -42,7 +43,7 @@ def test_run_and_sweep_return_their_runs(capsys: pytest.CaptureFixture[str]) -> 
     assert len(swept.rows) == 6
     # Of the two runs of seed 1 the newer counts.
     assert {first.rows[0].run_id, again.rows[0].run_id} < {row.run_id for row in swept.rows}
-    assert dict(os.environ) == before
+    assert {name: os.environ.get(name) for name in ONE_THREAD} == before
     capsys.readouterr()
     words = [*TINY, "seed=0..2", "algo.lr=1e-3,1e-2"]
     assert run_command(["sweep", *words]) == 0
@@ -71,6 +72,18 @@ def test_python_values_are_those_of_the_command_line() -> None:
     assert compose(override_words({"env": "trivial", "seed": "0..2"})).config.seed == (0, 1, 2)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("s\u00e3o paulo", "caf\u00e9", "a\\b/c", "end\\", 'a "b" c', 'a\\"b', "a\tb", "${x}", "\\", '"'),
+        *("null", "1e3"),
+    ],
+)
+def test_text_arrives_unchanged(text: str) -> None:
+    words = override_words({"env": "bus", "env.args.scenario": text, "algo": "ippo"})
+    assert compose(words).env_config.scenario == text
+
+
 def test_lists_of_a_sweep_are_values() -> None:
     keys = {
         "env": "trivial",
@@ -95,6 +108,8 @@ def test_values_that_yaml_cannot_hold_are_one_line(value: object) -> None:
 
 
 def test_errors_are_those_of_the_command_line() -> None:
+    with pytest.raises(HeadwayError, match=r"study=\['a', 'b'\]: a sweep has one study; give one name"):
+        sweep(*TINY, study=["a", "b"])
     with pytest.raises(HeadwayError, match=r"algo.lrr is not a key of ippo; did you mean algo.lr"):
         run(*TINY, **{"algo.lrr": 1})
     with pytest.raises(HeadwayError, match="seed=-1"):

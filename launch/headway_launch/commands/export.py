@@ -27,8 +27,9 @@ examples:
   headway export RUN --format onnx --output policy.onnx
   headway export RUN --format torchscript
 
-`headway.api.load_policy` reads every format; .npz needs numpy only. The written file is compared with what
-rollout workers compute; a difference is an error. docs/howto/policies.md explains its contents.
+`headway.api.load_policy` reads .npz, which needs numpy only, and .onnx. Before it is written, the file is
+compared with what rollout workers compute; a difference is an error. docs/howto/policies.md explains its
+contents.
 """
 _COPIES, _STEPS, _RANDOM_ROWS = 4, 100, 256
 
@@ -151,8 +152,8 @@ def _random(trained: "TrainedRun") -> "Iterator[tuple[Observations, NDArray[Any]
     masks = None
     if description.has_action_mask:
         # The first option of each choice is always allowed.
-        masks = draw.random((*shape, sum(description.options))) < 0.5
-        masks[..., np.cumsum((0, *description.options[:-1]))] = True
+        masks = draw.random((*shape, sum(description.num_actions))) < 0.5
+        masks[..., np.cumsum((0, *description.num_actions[:-1]))] = True
     size = description.network.hidden_size
     state = draw.standard_normal((*shape, size)).astype(description.precision) if size else None
     alive = np.ones((_RANDOM_ROWS, agents), np.bool_)

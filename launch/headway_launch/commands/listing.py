@@ -142,8 +142,10 @@ def rules_of(name: str) -> Mapping[str, RuleEntry]:
 
 
 def metrics_of(name: str) -> Mapping[str, str]:
-    """Return the episode metrics that an environment or configuration file describes, those of every
-    environment included; none if it describes none, as a PettingZoo module."""
+    """Return the metrics of an environment's episodes with their descriptions.
+
+    Empty if the environment describes none, as PettingZoo modules do.
+    """
     own = _registered_id(name)
     metrics = {} if own is None else env_entry(own).metrics
     return {**_COMMON_METRICS, **metrics} if metrics else {}

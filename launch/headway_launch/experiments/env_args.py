@@ -31,7 +31,8 @@ def with_env_args(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple
         if parsed.is_sweep_override():
             raise HeadwayError(f"{override}: give one value; evaluate once per value")
         *parents, name = key.removeprefix(_PREFIX).split(".")
-        place = changed["env"]["args"]
+        env = changed.get("env")
+        place = env.get("args") if isinstance(env, dict) else None
         for parent in parents:
             place = place.setdefault(parent, {}) if isinstance(place, dict) else None
         if not isinstance(place, dict):

@@ -9,7 +9,7 @@ from headway.config.experiment import NO_PRESET
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.registry import is_external
-from headway.store.run_configuration import upgraded
+from headway.store.run_configuration import require_small_yaml, upgraded
 from headway_launch.experiments.options import options
 
 _EXPERIMENT = "experiment"
@@ -55,9 +55,12 @@ def choice_of_file(path: Path) -> str:
         if group in (_EXPERIMENT, "search") or group not in content:
             continue
         value = content[group]
+        if value is False and "off" in known:
+            value = "off"  # YAML reads the bare word so
         named_by = _NAMED_BY.get(group, "")
         if isinstance(value, str) and not (group == "env" and is_external(value)):
-            chosen = str(content.pop(group))
+            del content[group]
+            chosen = value
             if chosen not in known:
                 raise HeadwayError(f"{path}: there is no {group} {chosen!r}; {suggestion(chosen, known)}")
         elif isinstance(value, str):
@@ -85,9 +88,13 @@ def _content(path: Path) -> dict[str, Any]:
             f"{path}: there is no such file; give an experiment's YAML file, or experiment=NAME"
         )
     try:
-        content = OmegaConf.to_container(OmegaConf.load(path))
+        text = path.read_text(encoding="utf-8")
+        require_small_yaml(text)
+        content = OmegaConf.to_container(OmegaConf.create(text))
     except (OSError, ValueError, RecursionError, YAMLError, OmegaConfBaseException) as error:
         raise HeadwayError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
     if not content or not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
         raise HeadwayError(f"{path} must hold keys of an experiment, such as env: bus (`headway list keys`)")
+    if "hydra" in content:
+        raise HeadwayError(f"{path}: hydra is no key of an experiment; remove it")
     return {str(key): value for key, value in content.items()}

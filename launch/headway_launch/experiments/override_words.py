@@ -1,6 +1,5 @@
 """Overrides written from Python values, in Hydra's grammar."""
 
-import json
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -8,8 +7,9 @@ from typing import Any
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.options import options
 
-_WORD = re.compile(r"[A-Za-z_][\w.]*")
+_WORD = re.compile(r"[A-Za-z_][\w.]*", re.ASCII)
 """Pattern of text that needs no quotes."""
+_BEFORE_QUOTE = re.compile(r'(\\*)("|$)')
 
 
 def override_words(keys: Mapping[str, Any], sweep: bool = False) -> list[str]:
@@ -24,6 +24,8 @@ def override_words(keys: Mapping[str, Any], sweep: bool = False) -> list[str]:
     for key, value in keys.items():
         if isinstance(value, str) and key in as_given:
             words.append(f"{key}={value}")
+        elif sweep and key == "study" and isinstance(value, list | tuple) and len(value) > 1:
+            raise HeadwayError(f"study={list(value)}: a sweep has one study; give one name")
         elif sweep and key != "seed" and isinstance(value, list | tuple | range):
             listed = ",".join(
                 each if isinstance(each, str) and key in as_given else _checked(key, each) for each in value
@@ -49,12 +51,18 @@ def written(value: object) -> str:
         return "{" + ",".join(f"{key}:{written(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, str):
         plain = _WORD.fullmatch(value) and value.lower() not in ("null", "true", "false", "nan", "inf")
-        return value if plain else json.dumps(value)
+        return value if plain else _quoted(value)
     if isinstance(value, list | tuple | range):
         return "[" + ",".join(map(written, value)) + "]"
     if isinstance(value, int | float):
         return repr(value)
     raise TypeError(type(value).__name__)
+
+
+def _quoted(text: str) -> str:
+    """Return text in double quotes: a backslash counts only before a quote and before an interpolation."""
+    inner = text.replace("${", "\\${")
+    return '"' + _BEFORE_QUOTE.sub(lambda found: 2 * found[1] + ("\\" + '"' if found[2] else ""), inner) + '"'
 
 
 def _checked(key: str, value: object) -> str:

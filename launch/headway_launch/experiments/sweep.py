@@ -1,5 +1,6 @@
 """Composition of the cells of a sweep from one command line in Hydra's grammar."""
 
+import re
 from collections.abc import Sequence
 from itertools import islice, product
 from math import prod
@@ -40,6 +41,8 @@ def combinations(overrides: Sequence[str]) -> list[tuple[str, ...]]:
 
 def _swept_values(override: str) -> list[str]:
     key, separator, text = override.partition("=")
+    if key.lstrip("+") == "study" and ("," in text or text.startswith("choice(")):
+        raise HeadwayError(f"{override}: a sweep has one study; give one name")
     if not separator or key.lstrip("+~") in ("seed", "study"):
         return [_seed_list(override, text) if key.lstrip("+") == "seed" else override]
     from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -66,6 +69,8 @@ def _swept_values(override: str) -> list[str]:
         raise HeadwayError(f"{override}: {error}; {_FORMS}") from error
     if not listed:
         raise HeadwayError(f"{override} has no values to sweep; {_FORMS}")
+    if key == "env":  # Hydra escapes blanks in paths, which `compose` takes as they are
+        listed = [re.sub(r"\\(.)", r"\1", option) for option in listed]
     return [f"{key}={option}" for option in listed]
 
 

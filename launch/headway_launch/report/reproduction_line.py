@@ -8,6 +8,7 @@ from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
+from headway.adapters.env_file import is_file_id
 from headway.config.experiment import NO_PRESET
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.compose import compose
@@ -24,8 +25,14 @@ def reproducing_line(mapping: Mapping[str, Any], seeds: str) -> str:
     """Return `headway run ...` with every key that differs from today's defaults and preset.
 
     `seeds`: as on the command line. Raises HeadwayError if this version cannot compose the configuration, for
-    instance because an environment is not installed.
+    instance because an environment is not installed, and for an environment in a file.
     """
+    env = mapping.get("env")
+    if isinstance(env, Mapping) and is_file_id(str(env.get("id"))):
+        raise HeadwayError(
+            "its environment is in a file, whose code is run only to train and to evaluate; train the "
+            f"config.yaml of one of its runs with seed={seeds}"
+        )
     preset = mapping.get("preset") or NO_PRESET
     return f"{_line_without_seeds(json.dumps(_changing_results(mapping)), preset)} seed={seeds}"
 

@@ -104,6 +104,14 @@ class Runner:
         """Return the identities of the runs that have ended, in this session or before it."""
         return [run_id for cell in self._cells for run_id in cell.results]
 
+    def seeds_without_runs(self) -> int:
+        """Return the number of seeds whose job failed before it created their runs."""
+        return sum(
+            len(job.planned.seeds)
+            for job in self._jobs
+            if job.recorder is None and not job.elsewhere and not job.planned.resumed
+        )
+
     def left_to_others(self) -> list[Path]:
         """Return the folders of runs that other sessions train, or trained without finishing them."""
         results = {result.directory for cell in self._cells for result in cell.results.values()}

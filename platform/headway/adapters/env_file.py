@@ -23,8 +23,10 @@ class EnvFile:
 
     @classmethod
     def read(cls, path: str) -> "EnvFile":
-        """Read a file. Raises HeadwayError if it cannot be read."""
+        """Read the file at an absolute path. Raises HeadwayError if it cannot be read."""
         file = Path(path)
+        if not file.is_absolute():
+            raise HeadwayError(f"env.id={path}: a stored path must be absolute; correct it to use the run")
         if not file.is_file():
             raise HeadwayError(f"env.id={path}: there is no such file; if a run used it, put it back there")
         try:
@@ -38,7 +40,7 @@ class EnvFile:
         return hashlib.sha256(self.source).hexdigest()[:_DIGITS]
 
     def load(self) -> ModuleType:
-        """Return the module of the text, executed once per process. Raises what the text raises.
+        """Execute the text, once per process, and return its module. An exception of the text is passed on.
 
         The file's folder joins the end of `sys.path`, so that the file can import its neighbours; for a file
         of a package, it is the folder that holds the package, and relative imports work.

@@ -17,10 +17,11 @@ class PolicyNetwork:
     arrays of its policy, by name, the network computes
 
         x = clip((x - observation_mean) * observation_scale, -observation_clip, observation_clip)
+                                                           if `observation_clip` is not 0
         x = activation(weight_i x + bias_i)                            for each hidden layer i
-        g, u = gru_weight_input x + gru_bias_input, gru_weight_memory h      with recurrent units
+        g, u = gru_weight_input x + gru_bias_input, gru_weight_hidden h      with recurrent units
         reset, update = sigmoid(g[:2M] + u[:2M])
-        candidate = tanh(reset * (u[2M:] + gru_bias_memory) + g[2M:])
+        candidate = tanh(reset * (u[2M:] + gru_bias_hidden) + g[2M:])
         x = h = candidate + update * (h - candidate)
         outputs = weight_last x + bias_last
 
@@ -51,7 +52,7 @@ class PolicyNetwork:
         names = ["observation_mean", "observation_scale"] if self.observation_clip else []
         names += [f"{kind}_{i}" for i in range(self.hidden_layers + 1) for kind in ("weight", "bias")]
         if self.hidden_size:
-            names += ["gru_weight_input", "gru_weight_memory", "gru_bias_input", "gru_bias_memory"]
+            names += ["gru_weight_input", "gru_weight_hidden", "gru_bias_input", "gru_bias_hidden"]
         return (*names, "log_std") if self.output == "mean" else tuple(names)
 
 

@@ -36,7 +36,7 @@ class PolicyDescription:
     """Where the policy is from, as JSON values: run, algorithm, environment, iteration, versions."""
 
     @property
-    def options(self) -> tuple[int, ...]:
+    def num_actions(self) -> tuple[int, ...]:
         """Number of options of each choice of a Discrete or MultiDiscrete action; empty for Box actions."""
         match self.action_space:
             case Discrete(n=n):
@@ -93,7 +93,7 @@ class PolicyDescription:
             key: tuple(value) if isinstance(value, list) else value
             for key, value in content["network"].items()
         }
-        return cls(
+        description = cls(
             tuple(content["agents"]),
             int(content["observation_size"]),
             space_of(content["action_space"]),
@@ -101,5 +101,23 @@ class PolicyDescription:
             bool(content["has_action_mask"]),
             PolicyNetwork(**network),
             str(np.dtype(content["precision"])),
-            content["origin"],
+            dict(content["origin"]),
         )
+        description._check()
+        return description
+
+    def _check(self) -> None:
+        """Raise ValueError if the agents and the network's numbers and names do not fit each other."""
+        network, agents = self.network, len(self.agents)
+        fits = (
+            0 < agents == len(set(self.agents)) == len(network.policy_of_agent),
+            all(policy >= 0 for policy in network.policy_of_agent),
+            len(network.index_of_agent) == (agents if network.num_indices else 0),
+            all(0 <= index < network.num_indices for index in network.index_of_agent),
+            network.activation in ("tanh", "relu"),
+            network.output in (("logits", "values") if self.num_actions else ("mean", "tanh")),
+            network.hidden_layers >= 0 and network.hidden_size >= 0 and network.observation_clip >= 0,
+            self.precision in ("float32", "float64"),
+        )
+        if not all(fits):
+            raise ValueError("its agents and its network do not fit each other")

@@ -8,6 +8,7 @@ import io
 import warnings
 import zipfile
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +36,8 @@ def _read_npz(path: Path) -> Policy:
         raise ValueError("it is no npz file")
     with np.load(path, allow_pickle=False) as stored:
         description = PolicyDescription.from_json(str(stored[_ENTRY]))
+        if description.network.hidden_layers > len(stored.files):
+            raise ValueError("it lacks arrays")
         arrays = {name: stored[name] for name in description.network.array_names}
     return Policy(description, numpy_evaluation(description, arrays))
 
@@ -66,7 +69,7 @@ def _read_torchscript(path: Path) -> Policy:
 def _onnx_bytes(description: PolicyDescription, arrays: Arrays) -> bytes:
     import torch
 
-    onnx, _ = _onnx_packages()
+    onnx = _imported("onnx")
     module, inputs = _traced(description, arrays)
     stream: Any = io.BytesIO()
     outputs = _OUTPUTS if description.network.hidden_size else _OUTPUTS[:2]
@@ -88,21 +91,18 @@ def _onnx_bytes(description: PolicyDescription, arrays: Arrays) -> bytes:
 
 
 def _read_onnx(path: Path) -> Policy:
-    _, onnxruntime = _onnx_packages()
-    session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
+    session = _imported("onnxruntime").InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
     description = PolicyDescription.from_json(session.get_modelmeta().custom_metadata_map[_ENTRY])
     return Policy(description, _evaluation(description, lambda inputs: session.run(None, dict(inputs))))
 
 
-def _onnx_packages() -> tuple[Any, Any]:
+def _imported(package: str) -> Any:  # noqa: ANN401 - it comes without types
     try:
-        import onnx
-        import onnxruntime
+        return import_module(package)
     except ImportError as error:
         raise HeadwayError(
             f'ONNX files need the package {error.name}; install it with pip install "headway[export]"'
         ) from error
-    return onnx, onnxruntime
 
 
 def _evaluation(
@@ -125,7 +125,7 @@ def _traced(description: PolicyDescription, arrays: Arrays) -> tuple[Any, dict[s
     network, agents = description.network, len(description.agents)
     inputs = {"observations": torch.zeros(2, agents, description.observation_size)}
     if description.has_action_mask:
-        inputs["masks"] = torch.ones(2, agents, sum(description.options), dtype=torch.bool)
+        inputs["masks"] = torch.ones(2, agents, sum(description.num_actions), dtype=torch.bool)
     dtype = getattr(torch, description.precision)
     if network.hidden_size:
         inputs["state"] = torch.zeros(2, agents, network.hidden_size, dtype=dtype)
@@ -178,7 +178,7 @@ def policy_bytes(form: str, description: PolicyDescription, arrays: Arrays) -> b
 
 
 def read_policy(path: Path) -> Policy:
-    """Read a policy's file, whose suffix tells its format.
+    """Read a policy's file, whose suffix tells its format. Reading TorchScript runs what the file contains.
 
     Raises HeadwayError if it cannot be read, is damaged or was not written by `headway export`.
     """
@@ -189,7 +189,7 @@ def read_policy(path: Path) -> Policy:
         raise HeadwayError(f"there is no file {path}")
     try:
         policy = readers[path.suffix](path)
-        agents, options = len(policy.agents), sum(policy.description.options)
+        agents, options = len(policy.agents), sum(policy.description.num_actions)
         masks = np.ones((agents, options), np.bool_) if policy.description.has_action_mask else None
         policy.act(np.zeros((agents, policy.observation_size)), masks)
     except HeadwayError:

@@ -3,6 +3,7 @@
 import warnings
 from pathlib import Path
 
+from headway.contracts import HeadwayError
 from headway.policies.files import read_policy
 from headway.policies.policy import Policy, numpy_evaluation
 
@@ -11,13 +12,19 @@ def load_policy(source: str | Path) -> Policy:
     """Load a trained policy from a run's folder or a file written by `headway export`.
 
     A run's folder may have been copied from its store; its newest checkpoint is read, with torch, and acting
-    needs numpy only. A file .npz needs nothing but numpy; .onnx needs onnxruntime, .pt needs torch. No
-    environment is made, except for runs of versions that did not store its specification.
+    needs numpy only. A file .npz needs nothing but numpy; .onnx needs onnxruntime. A TorchScript file is a
+    program and is refused: `torch.jit.load` runs those that you trust. No environment is made, except for
+    runs of versions that did not store its specification.
 
     Warns of broken checkpoints that are skipped. Raises HeadwayError if the folder or file is not a policy's,
     is damaged, or lacks a checkpoint.
     """
     path = Path(source)
+    if path.suffix == ".pt" and path.is_file():
+        raise HeadwayError(
+            f"{path}: TorchScript is a program, which may do anything: load files that you trust by "
+            "torch.jit.load; load_policy reads .npz and .onnx"
+        )
     if not path.is_dir():
         return read_policy(path)
     from headway.policies.trained_run import TrainedRun

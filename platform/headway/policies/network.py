@@ -65,16 +65,16 @@ def evaluate(
     if network.hidden_size and state is not None:
         size, h = network.hidden_size, state.swapaxes(0, 1)
         g = layer("gru_weight_input", "gru_bias_input", x)
-        u = h @ own("gru_weight_memory").swapaxes(1, 2)
+        u = h @ own("gru_weight_hidden").swapaxes(1, 2)
         reset = sigmoid(g[..., :size] + u[..., :size])
         update = sigmoid(g[..., size : 2 * size] + u[..., size : 2 * size])
-        bias = own("gru_bias_memory").swapaxes(1, 2)
+        bias = own("gru_bias_hidden").swapaxes(1, 2)
         candidate = xp.tanh(reset * (u[..., 2 * size :] + bias) + g[..., 2 * size :])
         x = candidate + update * (h - candidate)
         state = x.swapaxes(0, 1)
     outputs = layer(f"weight_{network.hidden_layers}", f"bias_{network.hidden_layers}", x).swapaxes(0, 1)
-    if description.options:
-        return Evaluation(best_options(xp, description, outputs, masks), outputs, state)
+    if description.num_actions:
+        return Evaluation(greedy_actions(xp, description, outputs, masks), outputs, state)
     chosen = xp.tanh(outputs) if network.output == "tanh" else outputs
     actions = in_environment_units(xp, arrays, chosen)
     if network.output == "mean":
@@ -92,14 +92,14 @@ def in_environment_units(library: Library, arrays: Any, chosen: Array) -> Array:
     return library.clip(actions, arrays["action_low"], arrays["action_high"])
 
 
-def best_options(
+def greedy_actions(
     library: Library, description: PolicyDescription, outputs: Array, masks: Array | None
 ) -> Array:
     """Return actions (B, N) or (B, N, choices): the allowed option with the largest output of each choice."""
     xp = library
     allowed = outputs if masks is None else xp.where(masks, outputs, -float("inf"))
     best, first = [], 0
-    for count in description.options:
+    for count in description.num_actions:
         best.append(allowed[..., first : first + count].argmax(-1))
         first += count
     return best[0] if isinstance(description.action_space, Discrete) else xp.stack(best, -1)

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from headway.contracts import ActionSpace, Box, HeadwayError
+from headway.contracts.errors import one_line
 from headway.contracts.spaces import allows_action
 from headway.policies.description import Arrays, PolicyDescription
-from headway.policies.network import Evaluation, best_options, evaluate, in_environment_units
+from headway.policies.network import Evaluation, evaluate, greedy_actions, in_environment_units
 
 Array = NDArray[Any]
 Evaluate = Callable[[Array, Array | None, Array | None], Evaluation]
@@ -77,27 +78,30 @@ class Policy:
         All arguments are arrays of all agents, or all are mappings from the names of some agents, as in
         PettingZoo; so are the results.
 
-        `observations`: (..., N, D), or agent -> (D,). Leave out agents that are not alive, or ignore the
-        actions of their rows.
+        `observations`: (..., N, D), or agent -> (D,); finite. Leave out agents that are not alive or, with
+        arrays, give them any finite row, ignore their actions and restore their rows of `state`.
         `mask`: allowed actions, (..., N, A), or agent -> (A,); needed if and only if the environment has
         action masks. A is the number of actions, or of the options of all choices of a MultiDiscrete space.
         `deterministic`: act by the mode of the distribution, else sample from it with `generator` (None: a
         new one with an unpredictable seed).
         `state`: the hidden state returned for the previous step, (..., N, M), or agent -> (M,); None where an
-        episode begins. Set the row of an agent whose stream of experience ended to 0, or remove the agent.
+        episode begins. Set the row of an agent that was terminated or truncated to 0, or remove the agent.
 
         Actions are int64 (..., N) for Discrete, int64 (..., N, choices) for MultiDiscrete, and float (..., N,
         A), clipped to the bounds, for Box. The returned state is None if `hidden_size` is 0.
 
-        Raises HeadwayError for an argument that is missing, unknown or of another shape.
+        Raises HeadwayError for an argument that is missing, unknown, of another shape or not finite.
         """
         if isinstance(observations, Mapping):
             return self._act_by_agent(observations, mask, deterministic, state, generator)
-        agents, rows = len(self.agents), np.asarray(observations, np.float32)
+        agents, rows = len(self.agents), _numbers("observations", observations, np.float32)
         if rows.ndim < 2 or rows.shape[-2:] != (agents, self.observation_size):
             raise HeadwayError(
                 f"observations must be of shape (..., {agents}, {self.observation_size}), not {rows.shape}"
             )
+        wrong = ~np.isfinite(rows).all(axis=(*range(rows.ndim - 2), -1))
+        if wrong.any():
+            raise HeadwayError(f"observations of {self.agents[int(wrong.argmax())]} are not finite")
         leading = rows.shape[:-2]
         masks = self._masks(mask, leading)
         hidden = self._hidden(state, leading)
@@ -142,7 +146,7 @@ class Policy:
 
     @property
     def _num_options(self) -> int:
-        return sum(self.description.options)
+        return sum(self.description.num_actions)
 
     def _rows(self, name: str, given: Mapping[str, ArrayLike], rows: Array) -> Array:
         """Write one row per agent into `rows` (N, ...) and return it."""
@@ -150,7 +154,7 @@ class Policy:
             if agent not in self._index:
                 some = ", ".join(self.agents[:3])
                 raise HeadwayError(f"{name}: the policy has no agent {agent!r}; its agents are {some}, ...")
-            row = np.asarray(values)
+            row = _numbers(f"{name} of {agent}", values, rows.dtype)
             if row.shape != rows.shape[1:]:
                 raise HeadwayError(f"{name} of {agent} must be of shape {rows.shape[1:]}, not {row.shape}")
             rows[self._index[agent]] = row
@@ -163,7 +167,7 @@ class Policy:
             raise HeadwayError("the policy's environment has no action masks: leave mask out")
         if mask is None:
             return None
-        masks = self._shaped("mask", np.asarray(mask).astype(np.bool_), leading, self._num_options)
+        masks = self._shaped("mask", _numbers("mask", mask, np.bool_), leading, self._num_options)
         if not allows_action(self.action_space, masks).all():
             raise HeadwayError(
                 "mask allows an agent no action: leave out agents that are not alive, or set their rows "
@@ -178,7 +182,9 @@ class Policy:
             return None
         if state is None:
             state = np.zeros((*leading, len(self.agents), self.hidden_size))
-        return self._shaped("state", np.asarray(state, self.description.precision), leading, self.hidden_size)
+        return self._shaped(
+            "state", _numbers("state", state, self.description.precision), leading, self.hidden_size
+        )
 
     def _shaped(self, name: str, array: Array, leading: tuple[int, ...], size: int) -> Array:
         """Return an array (..., N, size) as (B, N, size)."""
@@ -201,4 +207,11 @@ class Policy:
             return np.asarray(in_environment_units(np, self.description.constants, drawn), outputs.dtype)
         # The largest of the logits plus Gumbel noise is a draw from their categorical.
         noisy = outputs + generator.gumbel(size=outputs.shape)
-        return np.asarray(best_options(np, self.description, noisy, masks))
+        return np.asarray(greedy_actions(np, self.description, noisy, masks))
+
+
+def _numbers(name: str, values: Any, dtype: Any) -> Array:  # noqa: ANN401 - array-like; any form of a dtype
+    try:
+        return np.asarray(values).astype(dtype)
+    except (TypeError, ValueError) as error:
+        raise HeadwayError(f"{name} cannot be read as an array of numbers: {one_line(error)}") from error

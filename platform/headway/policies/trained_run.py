@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from headway.adapters.env_file import is_file_id
 from headway.algorithms import chosen_algo
 from headway.config.experiment import EnvConfig, ExperimentConfig
 from headway.config.schema import build
@@ -16,6 +17,9 @@ from headway.store.checkpoint import newest_parameters
 from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import RunRecord
 from headway.store.run_plan import PLAN, RunPlan
+
+_STORED_NAMES = {"gru_weight_hidden": "gru_weight_memory", "gru_bias_hidden": "gru_bias_memory"}
+"""Names of arrays in checkpoints that are not those of `PolicyNetwork`."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class TrainedRun:
                 "network, as headway.api.DescribedPolicy does"
             )
         iteration, parameters, notices = newest_parameters(folder, acting, record.seed, plan.stack, env.id)
-        arrays = {name: parameters[name] for name in acting.network.array_names}
+        arrays = {name: parameters[_STORED_NAMES.get(name, name)] for name in acting.network.array_names}
         description = PolicyDescription(
             spec.agents,
             spec.observation_size,
@@ -75,6 +79,8 @@ class TrainedRun:
 
 
 def _prepared_spec(config: EnvConfig) -> EnvSpec:
+    if is_file_id(config.id):
+        raise HeadwayError(f"the run's plan lacks the specification of {config.id}, which is not run for it")
     env = chosen_env(config)
     prepared = env.entry.prepare(build(env.entry.config, config.args, "env.args", config.id))
     with closing(env.entry.make(prepared, 1)) as one:

@@ -1,6 +1,6 @@
 """The configuration in a run's folder, in the form of this version."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,9 @@ from headway.registry import algo_entries
 from headway.store.atomic_files import require_regular
 
 _MAX_DEPTH = 100
-"""Most levels of a stored configuration."""
+"""Most levels of a configuration."""
+_MAX_NODES = 100_000
+"""Most keys and values of a configuration."""
 
 
 def read_configuration(directory: Path) -> dict[str, Any]:
@@ -23,7 +25,7 @@ def read_configuration(directory: Path) -> dict[str, Any]:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
         text = path.read_text(encoding="utf-8")
-        _require_shallow(yaml.parse(text, loader))
+        require_small_yaml(text)
         mapping = yaml.load(text, loader)
     except (OSError, ValueError, yaml.YAMLError) as error:
         reason = str(error).splitlines()[0]
@@ -33,16 +35,28 @@ def read_configuration(directory: Path) -> dict[str, Any]:
     return upgraded(mapping)
 
 
-def _require_shallow(events: Iterable[object]) -> None:
-    """Raise ValueError for YAML, as parsing events, so deeply nested that the C loader would crash."""
+def require_small_yaml(text: str) -> None:
+    """Raise ValueError for YAML so deep, or so long with its aliases written out, that reading it never ends.
+
+    Raises yaml.YAMLError for text that is no YAML.
+    """
     import yaml
 
-    depth = 0
-    for event in events:
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _MAX_DEPTH:
-            raise ValueError(f"it is nested more than {_MAX_DEPTH} levels deep")
+    sizes: dict[str, int] = {}
+    open_nodes: list[tuple[str | None, int]] = []
+    total = 0
+    for event in yaml.parse(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+        if isinstance(event, yaml.CollectionStartEvent):
+            open_nodes.append((event.anchor, total))
+            if len(open_nodes) > _MAX_DEPTH:
+                raise ValueError(f"it is nested more than {_MAX_DEPTH} levels deep")
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = open_nodes.pop()
+            if anchor is not None:
+                sizes[anchor] = total - before
+        total += sizes.get(event.anchor or "", 1) if isinstance(event, yaml.AliasEvent) else 1
+        if total > _MAX_NODES:
+            raise ValueError(f"it has more than {_MAX_NODES:,} nodes, aliases written out")
 
 
 def upgraded(mapping: Mapping[str, Any]) -> dict[str, Any]:

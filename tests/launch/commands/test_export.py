@@ -100,7 +100,7 @@ def test_other_formats_are_written_and_read(form: str, name: str, tmp_path: Path
         pytest.importorskip("onnxruntime")
     folder = keep_run_on(tmp_path / "runs", KINDS["recurrent"])
     assert run(["export", folder.name, "--format", form, "--output", name]) == 0
-    policy = load_policy(name)
+    policy = files.read_policy(Path(name))
     assert policy.origin == load_policy(folder).origin
     assert mean_return(policy, made(policy.origin)) == pytest.approx(
         mean_return(load_policy(folder), made(policy.origin)), rel=1e-4

@@ -10,6 +10,7 @@ from small_runs import SMALL, end_as
 from headway.store.index import RunIndex, RunRow
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
+from headway_launch.experiments.sweep import compose_sweep
 
 FILE = Path("my lab/shuttle.py")
 SWEEP = ("sweep", "env=my lab/shuttle.py", "algo=ippo", "study=own", *SMALL, "env.shared_reward=false")
@@ -58,6 +59,11 @@ def test_a_run_finds_its_file_again(
     shown = capsys.readouterr()
     assert f"headway: {file} has changed since the run was started" in shown.err
     assert "ippo greedy\t1\t22.5\t" in shown.out
+    end_as(first.directory)
+    assert f"{file} has changed since {first.run_id} was started: put the file back" in refused(
+        "resume", first.run_id, store
+    )
+    end_as(first.directory, "FINISHED")
     monkeypatch.chdir(tmp_path)
     assert run(SWEEP) == 0
     assert "has changed" not in capsys.readouterr().err
@@ -79,6 +85,10 @@ def test_files_in_several_forms_of_overrides(rows_of: RowsOf, refused: Refused) 
     file = str(FILE.resolve())
     for word in (f"env={FILE}", f"env={file}", f"env='{FILE}'", f"env.id='{FILE}'"):
         assert compose([word, "algo=ippo", "env.args.fare=2"]).config.env.id == file
+    other = FILE.with_name("other shuttle.py")
+    other.write_text(SHUTTLE)
+    both = compose_sweep([f"env={FILE},{other}", "algo=ippo"])
+    assert [each.config.env.id for each in both] == [file, str(other.resolve())]
     assert ["env.args.fare", "number", "1.0", ""] in rows_of("list", "envs", str(FILE))
     assert "env.args.fares is not a key of" in refused("run", f"env={FILE}", "env.args.fares=2")
     assert refused("run", "env=my lab/shuttel.py").startswith(f"headway: env.id={Path('my lab').resolve()}")

@@ -56,6 +56,12 @@ def folder(empty_folder: Path) -> str:
     return "our lab"
 
 
+BOMB = "".join(
+    f"k{level}: &a{level} [{', '.join([f'*a{level - 1}'] * 10) if level else '0'}]\n" for level in range(9)
+)
+"""Ten times as much per level."""
+
+
 def lr(experiment: Experiment) -> float:
     return float(experiment.algo_config.lr)
 
@@ -70,6 +76,7 @@ def test_a_file_is_an_experiment_like_those_of_the_project() -> None:
     same = compose([*words, "evaluation.rules=[]"])
     assert full_mapping(experiment, (0,)) == full_mapping(same, (0,))
     assert experiment.config.seed == (0, 1, 2)
+    assert not compose([str(written("off.yaml", f"{text}\nenergy: off\n"))]).config.energy.enabled
     changed = compose([file, "algo=ippo", "algo.lr=0.5", "seed=7"])
     assert (changed.algo_name, lr(changed), changed.config.seed) == ("ippo", 0.5, (7,))
     swept = compose_sweep([file, "algo=ippo,mappo", "algo.lr=0.1,0.2"])
@@ -103,6 +110,8 @@ def test_files_of_the_project_can_be_given_by_path() -> None:
         ("env: trivial\nalgo: {name: ippo, lr: high}", "algo.lr='high' is text, where a number is wanted"),
         ("env: trivial\nstudy: {_target_: os.system}", "_target_"),
         ("algo: ippo", "no experiment is named"),
+        ("env: trivial\nhydra: {verbose: true}", "bad.yaml: hydra is no key of an experiment; remove it"),
+        (BOMB, "it has more than 100,000 nodes, aliases written out"),
     ],
 )
 def test_a_bad_file_is_one_line(text: str, line: str, refused: Refused) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from kept_policies import keep_made, keep_run_on
 from numpy.typing import NDArray
 
@@ -28,7 +29,7 @@ from headway.contracts import (
     RecurrentPolicy,
 )
 from headway.policies import trained_run
-from headway.policies.files import FORMATS, policy_bytes
+from headway.policies.files import FORMATS, policy_bytes, read_policy
 from headway.policies.parity import require_parity
 from headway.policies.stored_spec import spec_json, spec_of
 from headway.policies.trained_run import TrainedRun
@@ -105,7 +106,7 @@ def test_acts_as_the_rollout_worker(kind: str, form: str, tmp_path: Path) -> Non
     if form != "folder":
         source = tmp_path / f"policy{FORMATS[form].suffix}"
         source.write_bytes(policy_bytes(form, run.description, run.arrays))
-    policy = load_policy(source)
+    policy = load_policy(source) if form == "folder" else read_policy(source)
     space = run.spec.action_space
     seen, state = observed(space), None
     assert (policy.agents, policy.action_space, policy.observation_size) == (run.spec.agents, space, SIZE)
@@ -119,7 +120,7 @@ def test_acts_as_the_rollout_worker(kind: str, form: str, tmp_path: Path) -> Non
         seen = replace(seen, observations=0.5 * seen.observations)
 
 
-@pytest.mark.parametrize("name", ["weight_0", "bias_1", "gru_weight_memory", "gru_bias_memory"])
+@pytest.mark.parametrize("name", ["weight_0", "bias_1", "gru_weight_hidden", "gru_bias_hidden"])
 def test_a_small_difference_is_found(name: str, tmp_path: Path) -> None:
     _, run = kept(tmp_path, "recurrent")
     arrays = {**run.arrays, name: run.arrays[name] + np.float32(1e-3)}
@@ -212,6 +213,12 @@ WRONG: dict[str, tuple[Callable[[Policy], object], str]] = {
         lambda p: p.act({"a0": ROWS[0, :2]}, {"a0": MASKS[0]}),
         "observations of a0 must be of",
     ),
+    "no number": (lambda p: p.act([["x"] * SIZE] * AGENTS, MASKS), "observations cannot be read as an array"),
+    "ragged": (lambda p: p.act([[0.0], []], MASKS), "observations cannot be read as an array"),
+    "not finite": (
+        lambda p: p.act(np.where(np.arange(AGENTS)[:, None] == 3, np.nan, ROWS), MASKS),
+        "observations of a3 are not finite",
+    ),
     "mixed": (lambda p: p.act({"a0": ROWS[0]}, MASKS), "mask must be a mapping"),
 }
 
@@ -301,7 +308,7 @@ def test_a_damaged_or_foreign_file_is_one_line(
     path = tmp_path / f"policy{suffix}"
     path.write_bytes(contents[damage])
     with pytest.raises(HeadwayError, match="is damaged or is no policy") as caught:
-        load_policy(path)
+        read_policy(path)
     assert "\n" not in str(caught.value)
 
 
@@ -311,6 +318,44 @@ def test_an_array_of_another_shape_is_damage(recurrent: Kept, tmp_path: Path) ->
     (tmp_path / "policy.npz").write_bytes(policy_bytes("npz", run.description, arrays))
     with pytest.raises(HeadwayError, match="is damaged"):
         load_policy(tmp_path / "policy.npz")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("hidden_layers", 10_000_000), ("hidden_layers", -1), ("activation", "gelu"), ("output", "softmax"),
+        ("output", "mean"), ("policy_of_agent", [0, 0, 0, 0, -1]), ("policy_of_agent", [0]),
+        ("index_of_agent", [0, 1]), ("hidden_size", -4),
+    ],
+)  # fmt: skip
+def test_a_description_that_does_not_fit_is_damage(
+    key: str, value: object, recurrent: Kept, tmp_path: Path
+) -> None:
+    """A file of a stranger's: none of its values may lead to other actions, or to work without end."""
+    content = json.loads(recurrent[1].description.to_json())
+    content["network"][key] = value
+    named: dict[str, Any] = {"headway.json": np.array(json.dumps(content)), **recurrent[1].arrays}
+    np.savez(tmp_path / "policy.npz", **named)
+    with pytest.raises(HeadwayError, match="is damaged or is no policy"):
+        load_policy(tmp_path / "policy.npz")
+
+
+def test_torchscript_is_not_run(recurrent: Kept, tmp_path: Path) -> None:
+    (tmp_path / "policy.pt").write_bytes(b"a program")
+    with pytest.raises(HeadwayError, match=r"TorchScript is a program.*by torch\.jit\.load"):
+        load_policy(tmp_path / "policy.pt")
+
+
+def test_the_file_of_an_environment_is_not_run(recurrent: Kept, tmp_path: Path) -> None:
+    """A stranger's run without stored specification: its configuration names a file that it brings along."""
+    copy, file = tmp_path / "copy", tmp_path / "env.py"
+    shutil.copytree(recurrent[0], copy)
+    file.write_text("raise SystemExit('the code of a stranger ran')")
+    config = yaml.safe_load((copy / "config.yaml").read_text())
+    (copy / "config.yaml").write_text(yaml.safe_dump({**config, "env": {"id": str(file)}}))
+    (copy / "plan.json").write_text(json.dumps({"stack": [4, 7]}))
+    with pytest.raises(HeadwayError, match=r"lacks the specification of .*env\.py, which is not run for it"):
+        load_policy(copy)
 
 
 def test_what_is_no_policy_is_one_line(recurrent: Kept, tmp_path: Path) -> None:
