@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from headway.config.schema import suggestion
-from headway.contracts.errors import HeadwayError
+from headway.contracts.errors import EnvironmentRaisedError, HeadwayError
 from headway_launch.commands.runs import add_store_argument, existing_store
 from headway_launch.console.output_files import require_writable
 
@@ -68,7 +68,11 @@ def execute(arguments: argparse.Namespace) -> int:
     if environment is not None and (source := getattr(environment.prepared, "source", None)):
         description = replace(description, origin={**description.origin, "data": source})
     content = policy_bytes(arguments.format, description, trained.arrays)
-    rows = _compared(content, suffix, trained, environment)
+    try:
+        rows = _compared(content, suffix, trained, environment)
+    except EnvironmentRaisedError as error:
+        environment, reason = None, str(error)
+        rows = _compared(content, suffix, trained, None)
     write_durably(output, lambda stream: stream.write(content))
     origin = "of the training environment" if environment is not None else f"drawn at random ({reason})"
     print_line(f"equal to the rollout worker's policy on {rows:,} observations {origin}")

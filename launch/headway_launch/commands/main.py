@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from headway.config.schema import suggestion
-from headway.contracts.errors import HeadwayError
+from headway.contracts.errors import EnvironmentRaisedError, HeadwayError
 from headway_launch.console.output import exit_of_environment, print_line, silence
 from headway_launch.console.threads import limit_threads
 
@@ -93,7 +93,7 @@ def run(arguments: Sequence[str]) -> int:
         code = _dispatch(words, debug)
         sys.stdout.flush()  # a closed pipe or full disk raises here, inside the try block
         return code
-    except HeadwayError as error:
+    except (HeadwayError, EnvironmentRaisedError) as error:
         if debug:
             raise
         print_line(f"headway: {' '.join(str(error).split())}")

@@ -48,6 +48,11 @@ def choice_of_file(path: Path) -> str:
         content = {**upgraded(content), "preset": NO_PRESET}  # its values are written out
         if isinstance(env := content.get("env"), dict):
             content["env"] = {key: value for key, value in env.items() if key != "file_digest"}
+    if dotted := next((key for key in content if "." in key), None):
+        group, *rest = dotted.split(".")
+        name = f"{_NAMED_BY[group]}: NAME, " if group in _NAMED_BY else ""
+        nested = ": {".join(rest) + ": VALUE" + "}" * (len(rest) - 1)
+        raise HeadwayError(f"{path}: {dotted}: keys of a file are nested; write {group}: {{{name}{nested}}}")
     defaults = content.pop("defaults", None) or []
     if not isinstance(defaults, list):
         raise HeadwayError(f"{path}: defaults must be a list, such as [override /algo: mappo]")

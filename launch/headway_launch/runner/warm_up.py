@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from headway.contracts.entries import EnvEntry
     from headway_launch.experiments.compose import Experiment
 
-_LINE = "compiling kernels, once"
+_LINE = "compiling kernels, once (a few minutes)"
 
 
 def compile_kernels(env: "EnvEntry") -> None:

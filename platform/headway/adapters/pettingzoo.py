@@ -31,7 +31,7 @@ from headway.contracts import (
     StepResult,
     child_seeds,
 )
-from headway.contracts.errors import one_line
+from headway.contracts.errors import EnvironmentRaisedError, one_line
 from headway.contracts.spaces import allows_action
 
 Infos = Mapping[str, Mapping[str, Any]]
@@ -233,7 +233,12 @@ class ParallelEnvBatch:
     def _begin(self, copy: int, episode: int) -> None:
         env = self._envs[copy]
         self._episodes[copy] = episode
-        answer = env.reset(seed=episode_seed(self._seeds[copy], episode))
+        try:
+            answer = env.reset(seed=episode_seed(self._seeds[copy], episode))
+        except HeadwayError:
+            raise
+        except Exception as error:  # the environment's own code
+            raise EnvironmentRaisedError(self._spec.name, "reset", error) from error
         self._ended[copy] = False
         self._observed.observations[copy] = 0
         try:
@@ -264,7 +269,12 @@ class ParallelEnvBatch:
             given = dict(zip(agents, decoded, strict=True))
         else:
             given = {agent: decoded[self._index[agent]] for agent in live}
-        answer = self._envs[copy].step(given)
+        try:
+            answer = self._envs[copy].step(given)
+        except HeadwayError:
+            raise
+        except Exception as error:  # the environment's own code
+            raise EnvironmentRaisedError(self._spec.name, "step", error) from error
         try:
             self._read_step(copy, live, answer)
         except _MALFORMED as error:

@@ -1,4 +1,7 @@
-"""The error type that users see."""
+"""The error types that users see."""
+
+import traceback
+from pathlib import Path
 
 
 class HeadwayError(Exception):
@@ -13,13 +16,24 @@ class HeadwayError(Exception):
         self.details = details
 
 
+class EnvironmentRaisedError(Exception):
+    """An exception of an environment's own code, with the environment, the call and the line of code."""
+
+    def __init__(self, environment: str, call: str, error: Exception) -> None:
+        """`call`: `reset` or `step`; `error`: the exception, with its traceback."""
+        frames = traceback.extract_tb(error.__traceback__)[1:]  # without the caller of the environment
+        own = [frame for frame in frames if "site-packages" not in frame.filename] or frames
+        place = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
+        super().__init__(f"environment '{environment}' raised {one_line(error)} in {call}{place}")
+
+
 def one_line(error: BaseException) -> str:
-    """Return `TYPE: first line of the message`; a HeadwayError's message unchanged."""
+    """Return `TYPE: first line of the message`; the message alone of errors that Headway words."""
     try:
         text = str(error)
     except Exception:  # of an environment's own class
         text = "its message cannot be read"
-    if isinstance(error, HeadwayError):
+    if isinstance(error, HeadwayError | EnvironmentRaisedError):
         return text
     return f"{type(error).__name__}: {text}".splitlines()[0]
 

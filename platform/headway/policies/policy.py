@@ -92,6 +92,8 @@ class Policy:
 
         Raises HeadwayError for an argument that is missing, unknown, of another shape or not finite.
         """
+        if not isinstance(generator, np.random.Generator | None):
+            raise HeadwayError("generator must be a numpy.random.Generator, such as np.random.default_rng(0)")
         if isinstance(observations, Mapping):
             return self._act_by_agent(observations, mask, deterministic, state, generator)
         agents, rows = len(self.agents), _numbers("observations", observations, np.float32)
@@ -152,8 +154,8 @@ class Policy:
         """Write one row per agent into `rows` (N, ...) and return it."""
         for agent, values in given.items():
             if agent not in self._index:
-                some = ", ".join(self.agents[:3])
-                raise HeadwayError(f"{name}: the policy has no agent {agent!r}; its agents are {some}, ...")
+                some = ", ".join(self.agents[:3]) + (", ..." if len(self.agents) > 3 else "")
+                raise HeadwayError(f"{name}: the policy has no agent {agent!r}; its agents are {some}")
             row = _numbers(f"{name} of {agent}", values, rows.dtype)
             if row.shape != rows.shape[1:]:
                 raise HeadwayError(f"{name} of {agent} must be of shape {rows.shape[1:]}, not {row.shape}")
@@ -214,4 +216,6 @@ def _numbers(name: str, values: Any, dtype: Any) -> Array:  # noqa: ANN401 - arr
     try:
         return np.asarray(values).astype(dtype)
     except (TypeError, ValueError) as error:
-        raise HeadwayError(f"{name} cannot be read as an array of numbers: {one_line(error)}") from error
+        reset = isinstance(values, tuple) and any(isinstance(value, Mapping) for value in values)
+        hint = "of PettingZoo's reset, pass the first of (observations, infos)" if reset else one_line(error)
+        raise HeadwayError(f"{name} cannot be read as an array of numbers: {hint}") from error

@@ -80,6 +80,27 @@ def test_a_run_finds_its_file_again(
     assert "shuttle.py, env.file_digest=" in Path("page/report.html").read_text()
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("_file")
+def test_an_error_of_the_file_is_named_with_its_line(
+    refused: Refused, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Training fails after a second attempt, evaluation at once; export compares random observations."""
+    assert run(SWEEP) == 0
+    [trained] = _runs()
+    lines = SHUTTLE.splitlines()
+    [place] = [number for number, line in enumerate(lines) if line.strip().startswith("def step(")]
+    lines.insert(place + 1, "        raise KeyError('the bridge is out')")
+    FILE.write_text("\n".join(lines))
+    told = f"raised KeyError: 'the bridge is out' in step (shuttle.py, line {place + 2})"
+    capsys.readouterr()
+    assert run(["run", *SWEEP[1:], "seed=0"]) == 2
+    assert f"failed twice: environment '{FILE.resolve()}' {told}" in capsys.readouterr().err
+    assert told in refused("evaluate", trained.run_id, "--episodes=1")
+    assert run(["export", trained.run_id]) == 0
+    assert f"observations drawn at random (environment '{FILE.resolve()}' {told})" in capsys.readouterr().err
+
+
 @pytest.mark.usefixtures("_file")
 def test_files_in_several_forms_of_overrides(rows_of: RowsOf, refused: Refused) -> None:
     file = str(FILE.resolve())

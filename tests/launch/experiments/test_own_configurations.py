@@ -111,6 +111,11 @@ def test_files_of_the_project_can_be_given_by_path() -> None:
         ("env: trivial\nstudy: {_target_: os.system}", "_target_"),
         ("algo: ippo", "no experiment is named"),
         ("env: trivial\nhydra: {verbose: true}", "bad.yaml: hydra is no key of an experiment; remove it"),
+        (
+            "algo: mappo\nalgo.lr: 1",
+            "algo.lr: keys of a file are nested; write algo: {name: NAME, lr: VALUE}",
+        ),
+        ("env: bus\nenv.args.a.b: 1", "are nested; write env: {id: NAME, args: {a: {b: VALUE}}}"),
         (BOMB, "it has more than 100,000 nodes, aliases written out"),
     ],
 )

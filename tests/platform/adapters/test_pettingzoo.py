@@ -13,6 +13,7 @@ from scripted import Script, Scripted, Space
 from headway.adapters.conformance import CHECKS, play
 from headway.adapters.pettingzoo import AdapterOptions, ParallelEnvBatch, episode_seed
 from headway.contracts import Box, Discrete, HeadwayError, MultiDiscrete
+from headway.contracts.errors import EnvironmentRaisedError
 from tests.robustness.misbehaving import parallel_env
 
 
@@ -212,11 +213,12 @@ def play_steps(env: ParallelEnvBatch, steps: int) -> None:
         env.step(NOTHING[:1])
 
 
-def test_an_error_of_the_environment_s_own_passes_as_it_is() -> None:
+def test_an_error_of_the_environment_s_own_is_named_with_its_place() -> None:
     for place in ("reset", "step"):
         env = ParallelEnvBatch(partial(parallel_env, "raise KeyError", place, 3, "", False), 1, "misbehaving")
         env.reset(seeds(1))
-        with pytest.raises(KeyError, match="agent"):
+        line = rf"environment 'misbehaving' raised KeyError: 'agent' in {place} \(misbehaving\.py, line \d+\)"
+        with pytest.raises(EnvironmentRaisedError, match=line):
             play_steps(env, 8)
 
 

@@ -214,6 +214,10 @@ WRONG: dict[str, tuple[Callable[[Policy], object], str]] = {
         "observations of a0 must be of",
     ),
     "no number": (lambda p: p.act([["x"] * SIZE] * AGENTS, MASKS), "observations cannot be read as an array"),
+    "result of reset": (
+        lambda p: p.act(({"a0": ROWS[0]}, {}), MASKS),
+        "pass the first of (observations",
+    ),
     "ragged": (lambda p: p.act([[0.0], []], MASKS), "observations cannot be read as an array"),
     "not finite": (
         lambda p: p.act(np.where(np.arange(AGENTS)[:, None] == 3, np.nan, ROWS), MASKS),
@@ -233,6 +237,11 @@ def test_a_wrong_argument_is_one_line(case: str, recurrent: Kept) -> None:
     act, line = WRONG[case]
     with pytest.raises(HeadwayError, match=re.escape(line)):
         act(load_policy(recurrent[0]))
+
+
+def test_a_seed_is_no_generator(recurrent: Kept) -> None:
+    with pytest.raises(HeadwayError, match=r"must be a numpy\.random\.Generator"):
+        load_policy(recurrent[0]).act(ROWS, MASKS, generator=3)  # type: ignore[arg-type] # the bad input
 
 
 def test_a_mask_or_state_that_the_policy_does_not_have_is_refused(tmp_path: Path) -> None:
