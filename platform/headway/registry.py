@@ -66,7 +66,7 @@ def env_entry(name: str) -> EnvEntry:
 
 
 def is_external(name: str) -> bool:
-    """Return whether `name` is not that of a registered environment but leads to an environment's code.
+    """Return whether `name` is the place of an environment's code, and not of a registered environment.
 
     It is a PettingZoo module (`mpe2.simple_spread_v3`), a Python file (`./shuttle.py`) or a Gymnasium id
     with its module (`gymnasium:CartPole-v1`).

@@ -12,7 +12,7 @@ from headway.registry import is_external
 from headway.store.run_configuration import require_small_yaml, upgraded
 from headway_launch.experiments.options import options
 
-_EXPERIMENT = "experiment"
+_GROUP = "experiment"
 _NAMED_BY = {"env": "id", "algo": "name", "backend": "name"}
 """Key, per group, with which a stored configuration names the chosen option."""
 
@@ -24,7 +24,7 @@ def split_experiment_file(overrides: Sequence[str]) -> tuple[Path | None, list[s
     """
     files = [word for word in overrides if _is_file(word)]
     others = [word for word in overrides if word not in files]
-    second = [word for word in others if word.startswith(f"{_EXPERIMENT}=")]
+    second = [word for word in others if word.startswith(f"{_GROUP}=")]
     if len(files) + len(second) > 1 and files:
         raise HeadwayError(f"{' and '.join([*files, *second])} are two experiments; give one")
     return (Path(files[0]) if files else None), others
@@ -57,7 +57,7 @@ def choice_of_file(path: Path) -> str:
     if not isinstance(defaults, list):
         raise HeadwayError(f"{path}: defaults must be a list, such as [override /algo: mappo]")
     for group, known in options().items():
-        if group in (_EXPERIMENT, "search") or group not in content:
+        if group in (_GROUP, "search") or group not in content:
             continue
         value = content[group]
         if value is False and "off" in known:
@@ -79,8 +79,8 @@ def choice_of_file(path: Path) -> str:
         defaults.append({f"override /{group}": chosen})
     node = {"defaults": defaults, **content}
     name = f"file_{hashlib.sha256(repr(node).encode()).hexdigest()[:16]}"
-    ConfigStore.instance().store(name, node, _EXPERIMENT, package="_global_")
-    return f"{_EXPERIMENT}={name}"
+    ConfigStore.instance().store(name, node, _GROUP, package="_global_")
+    return f"{_GROUP}={name}"
 
 
 def _content(path: Path) -> dict[str, Any]:

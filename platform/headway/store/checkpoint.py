@@ -144,15 +144,18 @@ def require_same_shapes(
 ) -> None:
     """Raise UnfitPolicyError if a checkpoint's arrays do not have the shapes of `policy`.
 
-    `parameters` are those of `replicas` replicas, from the run folder `run`.
+    `parameters` are those of `replicas` replicas, from the run folder `run`. Raises HeadwayError for arrays
+    of another kind, such as complex numbers.
     """
     # A run is loaded with its stored configuration, so shapes differ only if the environment has changed.
-    for name, (shape, _) in policy.parameter_shapes(replicas).items():
+    for name, (shape, dtype) in policy.parameter_shapes(replicas).items():
         if name not in parameters or np.shape(parameters[name]) != shape:
             raise UnfitPolicyError(
                 f"run {run.name} was trained on a version of {environment} with other observations, actions "
                 "or agents; train it again"
             )
+        if (kind := np.asarray(parameters[name]).dtype).kind != dtype.kind:
+            raise HeadwayError(f"a checkpoint of run {run.name} is damaged: its {name} is of type {kind}")
 
 
 def newest_parameters(

@@ -161,6 +161,8 @@ def _tables(
         for column in REQUIRED[table]:
             if column not in segment.schema_arrow.names:
                 raise HeadwayError(f"{path} lacks column {column}: remove it to use the rest")
+            if pa.types.is_integer(segment.schema_arrow.field(column).type) == (column == "mode"):
+                raise HeadwayError(f"{path}, column {column} is of a wrong type: remove it to use the rest")
             if column in tables[-1].column_names and tables[-1].column(column).null_count:
                 raise HeadwayError(f"{path} lacks values of {column}: remove it to use the rest")
     return tables

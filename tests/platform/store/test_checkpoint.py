@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from headway.contracts import HeadwayError
-from headway.store.checkpoint import _MAGIC, latest_iteration, load_latest, save_checkpoint
+from headway.contracts import Discrete, EnvSpec, HeadwayError
+from headway.store.checkpoint import (
+    _MAGIC,
+    latest_iteration,
+    load_latest,
+    require_same_shapes,
+    save_checkpoint,
+)
+from headway_algos.registry import ENTRIES, configure
 
 
 def _state() -> dict[str, object]:
@@ -105,3 +112,12 @@ def test_a_pickle_with_a_right_checksum_is_not_loaded(tmp_path: Path) -> None:
 def test_a_view_is_stored_without_its_whole_storage(tmp_path: Path) -> None:
     path = save_checkpoint(tmp_path, 1, {"row": torch.zeros(1_000_000)[:10]})
     assert path.stat().st_size < 10_000
+
+
+def test_parameters_of_another_kind_are_damage(tmp_path: Path) -> None:
+    policy = ENTRIES["ippo"].acting_policy(configure("ippo"), EnvSpec("made", ("a",), 3, Discrete(2)))
+    parameters = {name: np.zeros(shape, dtype) for name, (shape, dtype) in policy.parameter_shapes(1).items()}
+    require_same_shapes(parameters, policy, 1, "made", tmp_path)
+    wrong = {**parameters, "bias_0": parameters["bias_0"].astype(np.complex128)}
+    with pytest.raises(HeadwayError, match="is damaged: its bias_0 is of type complex128"):
+        require_same_shapes(wrong, policy, 1, "made", tmp_path)

@@ -171,6 +171,10 @@ def test_a_segment_without_a_required_column_is_named(column: str, tmp_path: Pat
     run.commit(1)
     with pytest.raises(HeadwayError, match=rf"evaluation-000001\.parquet lacks column {column}: remove it"):
         parquet_log.read(tmp_path, "evaluation")
+    run.append("evaluation", [{**row, column: 1 if column == "mode" else "\x1b[31m"}])
+    run.commit(2)
+    with pytest.raises(HeadwayError, match=rf"evaluation-00000\d\.parquet.* column {column}"):
+        parquet_log.read(tmp_path, "evaluation", after=1)
     run.append("evaluation", [row])
     run.commit(1)  # extends the segment: the first row lacks a value
     with pytest.raises(HeadwayError, match=rf"evaluation-000001\.parquet lacks values of {column}: remove"):
