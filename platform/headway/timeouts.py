@@ -5,6 +5,8 @@ from math import inf
 
 MIN_TIMEOUT_S = 60.0
 """Shortest limit that is derived from earlier waits, s."""
+START_TIMEOUT_S = 900.0
+"""Limit on making or restoring environments, s, which nothing earlier foretells."""
 
 
 @dataclass

@@ -131,7 +131,7 @@ def session_outcome(code: int | None, errors: str, sent: Sequence[signal.Signals
     """Classify the end of a session that shows its progress; `sent`: signals that were sent to it."""
     if code is None:
         return Outcome.HUNG
-    if "Traceback" in errors or "unexpected" in errors:
+    if "Traceback" in errors or "unexpected " in errors:  # not multiprocessing's "died unexpectedly"
         return Outcome.UNEXPECTED
     if code == 0 or (sent and code in (_STOPPED, *(-number for number in sent))):
         return Outcome.ACCEPTED

@@ -129,7 +129,8 @@ class BackendConfig:
     assigns the cores itself."""
     worker_timeout_s: float | None = None
     """Seconds that a worker may take for a rollout or an evaluation before it is replaced, as one that died
-    is; twice as many for its replacement. null: ten times the longest so far, at least 60."""
+    is; twice as many for its replacement. null: ten times the longest so far, at least 60. To make its
+    environments it may take ten times as many, at least 60, or 900 for null."""
     learners: Literal["here", "cluster"] | None = None
     """For `ray`: `here`: runs train on this machine, with workers on the cluster; `cluster`: each run is
     placed on one node of the cluster, with its workers (`store.root` must be on a file system that all

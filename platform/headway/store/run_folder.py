@@ -252,7 +252,8 @@ def _slug(name: str) -> str:
 def read_summary(directory: Path) -> dict[str, Any]:
     """Read a run's `summary.json`; empty if it has none yet. Raises HeadwayError if the file is broken.
 
-    Values are texts for `energy.*`, else numbers; None for what is unknown or no number below 1e100.
+    Values are texts for `energy.*`, else numbers; None for what is unknown, no number below 1e100, or an
+    integer of more than 64 bits.
     """
     path = directory / SUMMARY
     content = read_json(path) if path.exists() else {}
@@ -263,4 +264,4 @@ def read_summary(directory: Path) -> dict[str, Any]:
 
 
 def _is_plausible(value: object) -> bool:
-    return isinstance(value, int | float) and abs(value) < _LARGEST
+    return isinstance(value, int | float) and abs(value) < (2**63 if isinstance(value, int) else _LARGEST)

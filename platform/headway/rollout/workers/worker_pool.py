@@ -20,7 +20,7 @@ from headway.rollout.workers.worker import (
     Evaluate,
     Restore,
 )
-from headway.timeouts import MIN_TIMEOUT_S, AdaptiveTimeout
+from headway.timeouts import MIN_TIMEOUT_S, START_TIMEOUT_S, AdaptiveTimeout
 
 Notify = Callable[[str], None]
 
@@ -104,7 +104,7 @@ class _Worker:
     sent_at: float = 0.0
     """Time of sending it, s (`time.monotonic`)."""
     is_noticed: bool = False
-    """The user has been told that its answer is late, although no limit is known."""
+    """The user has been told that its answer is late, although its limit is far or unknown."""
 
     def send(self, command: Command) -> None:
         """Send a command."""
@@ -145,7 +145,9 @@ class WorkerPool:
         self.timeouts: dict[type[Command], AdaptiveTimeout] = {
             kind: AdaptiveTimeout(timeout_s) for kind in (Collect, Evaluate, Contribute)
         }
-        """Limits on commands that step environments; making or restoring them has none."""
+        """Limits on commands that step environments."""
+        self.start_timeout_s = START_TIMEOUT_S if timeout_s is None else max(MIN_TIMEOUT_S, 10 * timeout_s)
+        """Limit on making or restoring environments."""
         self.lost_cpu_seconds = 0.0
         """CPU seconds of workers that were replaced."""
         self.restart_purpose = restart_purpose(0)
@@ -184,12 +186,12 @@ class WorkerPool:
                 return sorted(found)
 
     def _is_overdue(self, shard: int) -> bool:
-        """Return whether a worker has taken too long; notify if it is late and no limit is known yet."""
+        """Return whether a worker has taken too long; notify if it is late and its limit is far."""
         worker = self.workers[shard]
         if worker.command is None:
             return False
         limit, waited = self._limit_s(worker), worker.waited_s
-        if limit == inf and waited >= MIN_TIMEOUT_S and not worker.is_noticed:
+        if MIN_TIMEOUT_S <= waited < limit and self._is_notice_due(worker):
             worker.is_noticed = True
             doing = self._doing(worker.command)
             self.notify(f"worker {shard} has not answered for {waited:.0f} s while {doing}; it may hang")
@@ -200,18 +202,26 @@ class WorkerPool:
 
         A replacement has twice the time, in case the first was only slow.
         """
-        if worker.command is None or type(worker.command) not in self.timeouts:
+        if worker.command is None:
             return inf
-        if not worker.has_answered and not worker.failures:
-            return inf  # it makes its environments first
-        return self.timeouts[type(worker.command)].limit_s * (2.0 if worker.failures else 1.0)
+        starts = self._makes_environments(worker)
+        limit = self.start_timeout_s if starts else self.timeouts[type(worker.command)].limit_s
+        return limit * (2.0 if worker.failures else 1.0)
+
+    def _makes_environments(self, worker: _Worker) -> bool:
+        """Return whether a worker makes or restores its environments, possibly before it steps them."""
+        return type(worker.command) not in self.timeouts or not (worker.has_answered or worker.failures)
+
+    def _is_notice_due(self, worker: _Worker) -> bool:
+        """Return whether the user is to be told if a worker is late, since its limit is far or unknown."""
+        return not worker.is_noticed and (
+            self._limit_s(worker) == inf or (self._makes_environments(worker) and worker.command is not None)
+        )
 
     def _notice_in_s(self, shard: int) -> float:
         """Return the seconds until a worker is overdue or a notice of it is due."""
         worker = self.workers[shard]
-        limit = self._limit_s(worker)
-        if limit == inf and not worker.is_noticed:
-            limit = MIN_TIMEOUT_S
+        limit = min(self._limit_s(worker), MIN_TIMEOUT_S if self._is_notice_due(worker) else inf)
         return limit - worker.waited_s
 
     def _doing(self, command: Command) -> str:

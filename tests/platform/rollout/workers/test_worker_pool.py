@@ -1,6 +1,5 @@
 """A worker pool counts failures of workers and losses of their machines separately."""
 
-import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -96,16 +95,35 @@ def test_a_limit_follows_the_time_that_workers_needed_not_when_their_answers_wer
     assert pool.timeouts[Collect].limit_s == 80.0
 
 
-def test_a_worker_has_no_limit_until_it_has_made_its_environments() -> None:
-    """An evaluator makes them at its first command. A replacement has one: otherwise it could hang."""
+def test_a_worker_has_more_time_until_it_has_made_its_environments() -> None:
+    """An evaluator makes them at its first command, others when they begin or restore episodes."""
     pool = WorkerPool(_Scripted(iter([DONE])), 1, print, timeout_s=2.0)
     [worker] = pool.workers
-    for failures, limit in ((0, math.inf), (1, 4.0)):
+    for failures, limit in ((0, 60.0), (1, 4.0)):
         worker.command, worker.failures = EVALUATION, failures
         assert pool._limit_s(worker) == limit
     worker.failures = 0
     pool.all([EVALUATION])
     assert pool._limit_s(worker) == 2.0
+    for command in (Begin("episodes"), EVALUATION):
+        derived = WorkerPool(_Scripted(iter(())), 1, print)
+        derived.workers[0].command = command
+        assert derived._limit_s(derived.workers[0]) == 900.0
+
+
+def test_a_worker_that_makes_its_environments_is_told_to_be_late_before_its_limit() -> None:
+    told: list[str] = []
+    pool = WorkerPool(_Scripted(iter(())), 1, told.append, "the town")
+    [worker] = pool.workers
+    worker.send(Begin("episodes"))
+    assert 59 < pool._notice_in_s(0) <= 60
+    worker.sent_at -= 100
+    assert not pool._is_overdue(0)
+    assert told == ["worker 0 has not answered for 100 s while starting episodes of the town; it may hang"]
+    assert 799 < pool._notice_in_s(0) <= 800
+    worker.sent_at -= 800
+    assert pool._is_overdue(0)
+    assert len(told) == 1
 
 
 def test_of_no_workers_none_has_answered() -> None:
