@@ -135,7 +135,7 @@ def test_a_link_to_itself_hides_no_run(tmp_path: Path) -> None:
     assert [row.seed for row in RunIndex(tmp_path).rows()] == [0]
 
 
-@pytest.mark.parametrize("value", [10**400, 1e308, float("nan"), "/dev/zero", [1.0]])
+@pytest.mark.parametrize("value", [10**400, 2**63, 1e308, float("nan"), "/dev/zero", [1.0]])
 def test_a_figure_that_is_no_number_is_left_out(tmp_path: Path, value: object) -> None:
     folder = _run(tmp_path, 0)
     summary = {"final_reward": value, "auc": 1.0, "energy.cpu": "estimated"}
