@@ -14,10 +14,9 @@ class PolicyNetwork:
     """A multilayer perceptron per policy, optionally with gated recurrent units before the output layer.
 
     The input x of an agent is its observation, followed by its one-hot index if there are indices. With the
-    arrays of its policy, by name, the network computes
+    arrays of its policy, by name, the network computes (the first line unless `observation_clip` is 0)
 
         x = clip((x - observation_mean) * observation_scale, -observation_clip, observation_clip)
-                                                           if `observation_clip` is not 0
         x = activation(weight_i x + bias_i)                            for each hidden layer i
         g, u = gru_weight_input x + gru_bias_input, gru_weight_hidden h      with recurrent units
         reset, update = sigmoid(g[:2M] + u[:2M])
