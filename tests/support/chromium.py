@@ -50,8 +50,13 @@ class Page:
         self.wait_until("document.readyState === 'complete' && location.href !== 'about:blank'")
 
     def value(self, script: str) -> Any:  # noqa: ANN401 - whatever the script gives
-        """Return the value of a script, evaluated on the page."""
-        answer = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        """Return the value of a script, evaluated on the page; None while the page is replaced by another."""
+        try:
+            answer = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        except AssertionError as error:
+            if "Inspected target navigated" in str(error):
+                return None
+            raise
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 

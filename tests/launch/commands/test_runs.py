@@ -38,7 +38,10 @@ def store(tmp_path: Path) -> Path:
         for iteration in (0, 10):
             for day in range(2):
                 row = {"iteration": iteration, "mode": "greedy", "final": 1, "episode_seed": day}
-                log.append("evaluation", [{**row, "return": 100.0 * seed + day + iteration}])
+                log.append(
+                    "evaluation",
+                    [{**row, "env_steps": 100 * iteration, "return": 100.0 * seed + day + iteration}],
+                )
         log.commit(10)
     return tmp_path
 
