@@ -142,6 +142,8 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
         print(f"headway {version('headway')}")
         return 0
     name = words[0]
+    if name.startswith("-"):
+        raise HeadwayError(f"{name} comes before the command; write headway COMMAND {name} ...")
     if name not in COMMANDS:
         raise HeadwayError(f"unknown command {name!r}; {suggestion(name, COMMANDS, 'headway ')}")
     command = COMMANDS[name]

@@ -20,6 +20,7 @@ from headway_launch.experiments.compose import compose
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
+        (["--config-dir", "lab", "list"], ["--config-dir comes before the command; write headway COMMAND"]),
         (["rnu"], ["unknown command 'rnu'", "did you mean headway run?"]),
         (["list", "experimens"], ["did you mean headway list experiments?"]),
         (["list", "envs", "trivail"], ["did you mean trivial?"]),
