@@ -39,10 +39,25 @@ def differences(first: Path, second: Path) -> list[str]:
 
 
 def _by_place(root: Path, found: list[str]) -> dict[_Place, RunRow]:
-    rows = RunIndex(root).rows()
+    left = _left_by_an_incomplete_stack(root)
+    rows = [row for row in RunIndex(root).rows() if row.run_id not in left]
     counts = Counter((row.cell, row.seed) for row in rows)
     found += [f"{place} has {count} runs in {root}" for place, count in counts.items() if count > 1]
     return {(row.cell, row.seed): row for row in rows}
+
+
+def _left_by_an_incomplete_stack(root: Path) -> set[str]:
+    """Return the runs without data of sessions that were killed before they had created all runs of a stack.
+
+    A stack is trained as a whole, so its seeds start anew, and such a run stays, KILLED, beside the new one.
+    """
+    rows = RunIndex(root).rows()
+    counts = Counter((row.cell, row.seed) for row in rows)
+    return {
+        row.run_id
+        for row in rows
+        if row.status == "KILLED" and not row.iterations and counts[row.cell, row.seed] > 1
+    }
 
 
 def _rows_of(table: Any) -> Callable[[RunRow], Any]:  # noqa: ANN401 - a name of TABLES
@@ -74,8 +89,10 @@ def _mlflow_data(
 ) -> dict[_Place | str, dict[str, Any]]:
     """Return the MLflow data of each run by (cell, seed), and of each cell by name."""
     data_of: dict[_Place | str, dict[str, Any]] = {}
-    query = "SELECT run_uuid, name, status FROM runs"
+    query, left = "SELECT run_uuid, name, status FROM runs", _left_by_an_incomplete_stack(root)
     for run, name, status in database.execute(query).fetchall():
+        if name in left:
+            continue
         place: _Place | str = names.get(name, name)
         if place in data_of:
             found.append(f"{place} is in MLflow twice in {root}")
