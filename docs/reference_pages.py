@@ -62,12 +62,11 @@ def _pages() -> dict[str, str]:
 
 
 def _environments() -> str:
-    listed = {f"[`{name}`]({name}.md)": entry.summary for name, entry in env_entries().items()}
     text = (
         "`env=NAME` chooses one, `env.args.KEY=VALUE` sets an argument. PettingZoo environments need no "
         "entry: `env=mpe2.simple_spread_v3` names the module."
     )
-    return f"# Environments\n\n{text}\n\n{_definitions(listed)}\n{_toctree(env_entries())}"
+    return _index("Environments", text, {name: entry.summary for name, entry in env_entries().items()})
 
 
 def _environment(name: str) -> str:
@@ -94,12 +93,17 @@ def _environment(name: str) -> str:
 
 
 def _algorithms() -> str:
-    listed = {f"[`{name}`]({name}.md)": entry.summary for name, entry in algo_entries().items()}
     text = (
         "`algo=NAME` chooses one, `algo.KEY=VALUE` sets a hyper-parameter; a key that an algorithm does not "
         "read is refused. [Design](../../design/algorithms.md) says how they differ and how they learn."
     )
-    return f"# Algorithms\n\n{text}\n\n{_definitions(listed)}\n{_toctree(algo_entries())}"
+    return _index("Algorithms", text, {name: entry.summary for name, entry in algo_entries().items()})
+
+
+def _index(title: str, text: str, summaries: Mapping[str, str]) -> str:
+    """Return the page that lists pages of its folder by name."""
+    listed = {f"[`{name}`]({name}.md)": summary for name, summary in summaries.items()}
+    return f"# {title}\n\n{text}\n\n{_definitions(listed)}\n{_toctree(summaries)}"
 
 
 def _algorithm(name: str) -> str:

@@ -4,7 +4,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
 from headway.wording import counted
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from headway_launch.runner.runner import Runner
 
 
-def run(*overrides: str, config_dir: str | Path | None = None, **keys: Any) -> "RunSelection":  # noqa: ANN401 - any value of a key
+def run(*overrides: str, config_dir: str | Path | None = None, **keys: object) -> "RunSelection":
     """Train as `headway run` does, and return the runs.
 
         runs = run("experiment=bus_mappo", "algo.lr=3e-4", seed=range(4))
@@ -43,7 +43,7 @@ def sweep(
     *overrides: str,
     fresh: bool = False,
     config_dir: str | Path | None = None,
-    **keys: Any,  # noqa: ANN401 - any value of a key
+    **keys: object,
 ) -> "RunSelection":
     """Train every combination that is not in the store, as `headway sweep` does, and return all its runs.
 

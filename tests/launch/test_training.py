@@ -41,7 +41,7 @@ def test_run_and_sweep_return_their_runs(capsys: pytest.CaptureFixture[str]) -> 
 
     swept = sweep(*TINY, seed=[0, 1, 2], **{"algo.lr": [1e-3, 1e-2]})
     assert len(swept.rows) == 6
-    # Of the two runs of seed 1 the newer counts.
+    # The newer of the two runs of seed 1 counts.
     assert {first.rows[0].run_id, again.rows[0].run_id} < {row.run_id for row in swept.rows}
     assert {name: os.environ.get(name) for name in ONE_THREAD} == before
     capsys.readouterr()

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping
-from typing import Any
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.options import options
@@ -12,7 +11,7 @@ _WORD = re.compile(r"[A-Za-z_][\w.]*", re.ASCII)
 _BEFORE_QUOTE = re.compile(r'(\\*)("|$)')
 
 
-def override_words(keys: Mapping[str, Any], sweep: bool = False) -> list[str]:
+def override_words(keys: Mapping[str, object], sweep: bool = False) -> list[str]:
     """Return `KEY=VALUE` for each key with its Python value.
 
     `sweep`: a list or tuple holds several values, of which each makes a cell; of `seed` it always holds

@@ -10,6 +10,7 @@ import zipfile
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,7 +97,7 @@ def _read_onnx(path: Path) -> Policy:
     return Policy(description, _evaluation(description, lambda inputs: session.run(None, dict(inputs))))
 
 
-def _imported(package: str) -> Any:  # noqa: ANN401 - it comes without types
+def _imported(package: str) -> ModuleType:
     try:
         return import_module(package)
     except ImportError as error:

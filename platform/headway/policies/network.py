@@ -1,5 +1,6 @@
 """Evaluation of a `PolicyNetwork` in numpy or, for export, in torch: one definition for both."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from headway.contracts import Discrete
@@ -26,7 +27,7 @@ class Evaluation(NamedTuple):
 def evaluate(
     library: Library,
     description: PolicyDescription,
-    arrays: Any,  # noqa: ANN401 - mapping from name to Array
+    arrays: Mapping[str, Array],
     observations: Array,
     masks: Array | None,
     state: Array | None,
@@ -83,7 +84,7 @@ def evaluate(
     return Evaluation(actions, outputs, state)
 
 
-def in_environment_units(library: Library, arrays: Any, chosen: Array) -> Array:  # noqa: ANN401 - as above
+def in_environment_units(library: Library, arrays: Mapping[str, Array], chosen: Array) -> Array:
     """Return Box actions (..., A) of the network scaled to the environment's units and clipped to its bounds.
 
     For `tanh` networks they are in [-1, 1].

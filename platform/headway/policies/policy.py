@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from headway.contracts import ActionSpace, Box, HeadwayError
 from headway.contracts.errors import one_line
@@ -162,7 +162,7 @@ class Policy:
             rows[self._index[agent]] = row
         return rows
 
-    def _masks(self, mask: Any, leading: tuple[int, ...]) -> Array | None:  # noqa: ANN401 - array-like or None
+    def _masks(self, mask: object, leading: tuple[int, ...]) -> Array | None:
         if (mask is not None) != self.description.has_action_mask:
             if mask is None:
                 raise HeadwayError("the policy needs the action masks of its environment: give mask")
@@ -177,7 +177,7 @@ class Policy:
             )
         return masks
 
-    def _hidden(self, state: Any, leading: tuple[int, ...]) -> Array | None:  # noqa: ANN401 - array-like or None
+    def _hidden(self, state: object, leading: tuple[int, ...]) -> Array | None:
         if not self.hidden_size:
             if state is not None:
                 raise HeadwayError("the policy has no hidden state: leave state out")
@@ -212,7 +212,7 @@ class Policy:
         return np.asarray(greedy_actions(np, self.description, noisy, masks))
 
 
-def _numbers(name: str, values: Any, dtype: Any) -> Array:  # noqa: ANN401 - array-like; any form of a dtype
+def _numbers(name: str, values: object, dtype: DTypeLike) -> Array:
     try:
         return np.asarray(values).astype(dtype)
     except (TypeError, ValueError) as error:

@@ -1,14 +1,15 @@
 """The module `supersuit`, which may be missing: see `headway.wrappers.supersuit`."""
 
-from typing import Any
+from types import ModuleType
 
 from headway.contracts import HeadwayError
 
 
-def imported_supersuit() -> Any:  # noqa: ANN401 - it comes without types
+def imported_supersuit() -> ModuleType:
     """Return the module. Raises HeadwayError that says how to install it."""
     try:
         import supersuit
     except ModuleNotFoundError as error:
         raise HeadwayError("SuperSuit is not installed: pip install --no-deps supersuit") from error
-    return supersuit
+    module: ModuleType = supersuit
+    return module
