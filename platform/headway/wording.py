@@ -7,5 +7,5 @@ def counted(count: int, what: str) -> str:
 
 
 def environment_name(env_id: str) -> str:
-    """Return an environment's id, or its last part if it is a path: `shuttle.py` for `/lab/shuttle.py`."""
-    return env_id.rsplit("/", 1)[-1]
+    """Return an environment's id, or the name of its file: `shuttle.py` for `/lab/shuttle.py`."""
+    return env_id.rpartition("/")[2] if env_id.endswith(".py") else env_id

@@ -51,7 +51,7 @@ def _run_and_exit(words: Sequence[str], folder: Path, output: Path, errors: Path
             (2, errors, os.O_WRONLY | os.O_CREAT | os.O_TRUNC),
         ):
             os.dup2(os.open(path, flags, 0o600), descriptor)
-        # The same encodings as in a process of its own: pytest and others may have replaced the streams. Open
+        # A separate process has these encodings; pytest and others may have replaced the streams. Open
         # until the child ends, hence no `with`.
         sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115 - see above
         sys.stderr = open(2, "w", encoding="utf-8", errors="backslashreplace", closefd=False)  # noqa: SIM115

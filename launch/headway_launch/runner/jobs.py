@@ -8,6 +8,7 @@ from math import gcd
 from pathlib import Path
 from typing import Self
 
+from headway.adapters.env_file import require_unchanged
 from headway.config.experiment import ExperimentConfig, RolloutConfig
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
@@ -118,8 +119,10 @@ def new_jobs(
 
     `known`: environments prepared before, as in `Experiment.prepare`.
 
-    Raises HeadwayError as `Experiment.prepare` does, and for a budget that the algorithm refuses.
+    Raises HeadwayError as `Experiment.prepare` does, for a budget that the algorithm refuses, and if the
+    environment's file has changed since its digest was stored.
     """
+    require_unchanged(experiment.config.env.id, experiment.config.env.file_digest)
     environment = experiment.prepare(known)
     requested, rollout = experiment.config, experiment.config.rollout
     if reason := experiment.algo.refuses_budget(experiment.algo_config, requested.iterations):

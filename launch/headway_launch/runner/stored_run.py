@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from headway.adapters.env_file import EnvFile, is_file_id
+from headway.adapters.env_file import require_unchanged
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
 from headway.store.run_configuration import read_configuration
@@ -93,12 +93,7 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
     first = runs[0]
     seeds = [run.record.seed for run in runs]
     experiment = resolve({**first.mapping, "seed": seeds})
-    env = experiment.config.env
-    if is_file_id(env.id) and env.file_digest not in (None, EnvFile.read(env.id).digest):
-        raise HeadwayError(
-            f"{env.id} has changed since {first.record.run_id} was started: put the file back to resume the "
-            "run, or train it anew as another cell"
-        )
+    require_unchanged(experiment.config.env.id, experiment.config.env.file_digest)
     environment = experiment.prepare(known)
     by_seed = {run.record.seed: run for run in runs}
     stacks = list(dict.fromkeys(run.plan.stack for run in runs))

@@ -67,6 +67,18 @@ class EnvFile:
         return module
 
 
+def require_unchanged(env_id: str, digest: str | None) -> None:
+    """Raise HeadwayError if an environment's file is not the one that had `digest`, if that is known.
+
+    Training it would store its curves with the digest of another text.
+    """
+    if is_file_id(env_id) and digest not in (None, EnvFile.read(env_id).digest):
+        raise HeadwayError(
+            f"{env_id} has changed since its digest {digest} was stored: put the file back to go on, or "
+            "train it anew as another cell"
+        )
+
+
 def is_file_id(env_id: str) -> bool:
     """Return whether an environment's id is the path of a Python file."""
     return env_id.endswith(".py")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Table = Literal["curve", "episodes", "evaluation"]
 TABLES: tuple[Table, ...] = get_args(Table)
-REQUIRED: Mapping[Table, tuple[str, ...]] = {
+_REQUIRED: Mapping[Table, tuple[str, ...]] = {
     "curve": ("iteration", "env_steps"),
     "episodes": ("iteration", "env_steps", "copy"),
     "evaluation": ("iteration", "env_steps", "mode", "episode_seed"),
@@ -127,9 +127,9 @@ def read_rows(directory: Path, table: Table, after: int = -1) -> list[dict[str, 
         for content in tables
         for row in content.to_pylist()
     ]
-    rows.sort(key=lambda row: row.get("iteration", 0))
+    rows.sort(key=lambda row: row["iteration"])
     if table == "curve":
-        _require_increasing([row["env_steps"] for row in rows if "env_steps" in row], directory)
+        _require_increasing([row["env_steps"] for row in rows], directory)
     return rows
 
 
@@ -158,7 +158,7 @@ def _tables(
             continue  # removed by a rewind since the folder was listed
         except (OSError, pa.ArrowException) as error:
             raise HeadwayError(f"{path} cannot be read as Parquet: remove it to use the rest") from error
-        for column in REQUIRED[table]:
+        for column in _REQUIRED[table]:
             if column not in segment.schema_arrow.names:
                 raise HeadwayError(f"{path} lacks column {column}: remove it to use the rest")
             if pa.types.is_integer(segment.schema_arrow.field(column).type) == (column == "mode"):

@@ -7,6 +7,7 @@ from command_lines import Refused, RowsOf
 from shuttle import SHUTTLE
 from small_runs import SMALL, end_as
 
+from headway.adapters.env_file import EnvFile
 from headway.store.index import RunIndex, RunRow
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
@@ -60,9 +61,9 @@ def test_a_run_finds_its_file_again(
     assert f"headway: {file} has changed since the run was started" in shown.err
     assert "ippo greedy\t1\t22.5\t" in shown.out
     end_as(first.directory)
-    assert f"{file} has changed since {first.run_id} was started: put the file back" in refused(
-        "resume", first.run_id, store
-    )
+    stale = f"env.file_digest={EnvFile(str(file), SHUTTLE.encode()).digest}"
+    for words in (("resume", first.run_id, store), ("run", f"env={file}", "algo=ippo", stale)):
+        assert f"{file} has changed since its digest" in refused(*words)
     end_as(first.directory, "FINISHED")
     monkeypatch.chdir(tmp_path)
     assert run(SWEEP) == 0
