@@ -113,6 +113,12 @@ class OffPolicyLearner(PolicyStack):
             "policy/exploration": np.full(len(self.seeds), explored),
         }
 
+    def imitate(
+        self, trajectory: Trajectory, iteration: int, progress: float
+    ) -> dict[str, NDArray[np.float64]]:
+        """Store the rule's transitions and learn from them as from any others."""
+        return self.update(trajectory, iteration, progress)
+
     def _store(self, trajectory: Trajectory) -> None:
         transitions = self.transition_builder.transitions(trajectory)
         copies, agents = np.divmod(transitions.streams, self.spec.num_agents)

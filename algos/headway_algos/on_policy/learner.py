@@ -25,6 +25,7 @@ from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
 from headway_algos.on_policy.critics import Critic
+from headway_algos.on_policy.imitation import imitate
 from headway_algos.on_policy.updates import Update
 
 GPU_PIECE_SAMPLES = 2**20
@@ -36,6 +37,9 @@ Order = Callable[
 ]
 """(update, grouping, rows, advantages (P, B), generators for shuffling (P,), generators for the order (R,))
 -> metrics by name, each (P,). Updates the policies in place."""
+
+
+Improve = Callable[[PolicyBatch, Tensor, int], dict[str, Tensor]]
 
 
 def simultaneous(
@@ -90,6 +94,17 @@ class OnPolicyLearner(PolicyStack):
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """Compute advantages, then update policies, critic and normalisers, in this order."""
+        return self._learn(trajectory, iteration, progress, self._improve_policies)
+
+    def imitate(
+        self, trajectory: Trajectory, iteration: int, progress: float
+    ) -> dict[str, NDArray[np.float64]]:
+        """Raise the likelihood of the actions, and train the critic on their returns."""
+        return self._learn(trajectory, iteration, progress, self._imitate)
+
+    def _learn(
+        self, trajectory: Trajectory, iteration: int, progress: float, improve: Improve
+    ) -> dict[str, NDArray[np.float64]]:
         trajectory = self._drop_unused_slots(trajectory_with_ids(trajectory, self.agent_ids))
         share = self.step_scale * self.config.lr_factor(progress)
         self.policy_update.anneal(share)
@@ -100,10 +115,12 @@ class OnPolicyLearner(PolicyStack):
             trajectory, self.behaviour.with_hidden_states(hidden_states), iteration
         )
         raise_if_critic_diverged(self, estimate.advantages, f"{self.unit} {iteration}")
-        info = self._improve_policies(trajectory, observations, hidden_states, estimate.advantages, iteration)
+        rows = self._policy_batch(trajectory, observations, hidden_states)
+        advantages = self.layout.rows(np.broadcast_to(estimate.advantages, trajectory.rewards.shape))
+        info = improve(rows, advantages, iteration)
         critic_metrics = self.critic.fit(estimate, iteration)
         # Each of these is as large as all observations; the normalisers allocate as much again.
-        del observations, hidden_states, estimate
+        del observations, hidden_states, estimate, rows, advantages
         # The running statistics apply from the next iteration on.
         self.critic.update_normalisers(trajectory)
         self.include_observations(self.actor.moments, trajectory)
@@ -144,14 +161,9 @@ class OnPolicyLearner(PolicyStack):
         samples = self.config.piece_samples
         return HiddenStates.replay(network, observations, start, begins, alive, self.layout, samples)
 
-    def _improve_policies(
-        self,
-        trajectory: Trajectory,
-        observations: Tensor,
-        hidden_states: HiddenStates | None,
-        advantages: NDArray[np.float64],
-        iteration: int,
-    ) -> dict[str, Tensor]:
+    def _policy_batch(
+        self, trajectory: Trajectory, observations: Tensor, hidden_states: HiddenStates | None
+    ) -> PolicyBatch:
         alive = trajectory.alive[:-1]
         used = alive & trajectory.acting
         selected = self.layout.selection(used)
@@ -159,7 +171,7 @@ class OnPolicyLearner(PolicyStack):
         if self.spec.has_action_mask:
             # Recurrence may evaluate unused rows too: allow every action there, so that they stay finite.
             masks = self.layout.rows(trajectory.action_masks[:-1] | ~used[..., None])
-        rows = PolicyBatch(
+        return PolicyBatch(
             observations,
             masks,
             self.layout.rows(trajectory.actions, used),
@@ -169,13 +181,18 @@ class OnPolicyLearner(PolicyStack):
             if hidden_states is None
             else hidden_states.sequences(self.layout, self.config.model.sequence_length),
         )
-        by_policy = self.layout.rows(np.broadcast_to(advantages, alive.shape))
+
+    def _improve_policies(self, rows: PolicyBatch, advantages: Tensor, iteration: int) -> dict[str, Tensor]:
         if self.config.normalise_advantages:
-            by_policy = standardise(by_policy, torch.from_numpy(selected).to(self.device))
+            advantages = standardise(advantages, torch.from_numpy(rows.selected).to(self.device))
         generators = self.generators("actor minibatch", iteration)
         order_generators = [generator(seed, "agent order", iteration) for seed in self.seeds]
         improve: Order = component("order", self.config.order).make
-        return improve(self.policy_update, self.grouping, rows, by_policy, generators, order_generators)
+        return improve(self.policy_update, self.grouping, rows, advantages, generators, order_generators)
+
+    def _imitate(self, rows: PolicyBatch, advantages: Tensor, iteration: int) -> dict[str, Tensor]:
+        generators = self.generators("actor minibatch", iteration)
+        return imitate(self.actor, rows, self.config, self.layout, generators)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the states of policies, critic and update."""

@@ -1,14 +1,17 @@
 """A stack of learners with one seed each, which never mixes seeds in one matrix product."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import Learner, Trajectory
+from headway.contracts import ImitatingLearner, Trajectory
 from headway_algos.on_policy.nested_states import map_tensors
+
+Learn = Callable[[Trajectory, int, float], dict[str, NDArray[np.float64]]]
+"""`Learner.update` or `Learner.imitate`."""
 
 
 class PerSeedLearner:
@@ -22,7 +25,7 @@ class PerSeedLearner:
     States and acting parameters have the layout of one learner of R seeds: a leading axis of R x K policies.
     """
 
-    def __init__(self, learners: Sequence[Learner]) -> None:
+    def __init__(self, learners: Sequence[ImitatingLearner]) -> None:
         """`learners`: one per seed, in the order of the stack."""
         self.learners = tuple(learners)
 
@@ -35,10 +38,21 @@ class PerSeedLearner:
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """Update each learner with its own E copies of the trajectory; return their metrics, (R,) each."""
-        copies = trajectory.rewards.shape[1] // len(self.learners)
+        return self._learn([learner.update for learner in self.learners], trajectory, iteration, progress)
+
+    def imitate(
+        self, trajectory: Trajectory, iteration: int, progress: float
+    ) -> dict[str, NDArray[np.float64]]:
+        """Let each learner imitate the actions of its own E copies; return their metrics, (R,) each."""
+        return self._learn([learner.imitate for learner in self.learners], trajectory, iteration, progress)
+
+    def _learn(
+        self, ways: Sequence[Learn], trajectory: Trajectory, iteration: int, progress: float
+    ) -> dict[str, NDArray[np.float64]]:
+        copies = trajectory.rewards.shape[1] // len(ways)
         each = [
-            learner.update(trajectory.of_copies(r * copies, copies), iteration, progress)
-            for r, learner in enumerate(self.learners)
+            learn(trajectory.of_copies(r * copies, copies), iteration, progress)
+            for r, learn in enumerate(ways)
         ]
         return {name: np.concatenate([one[name] for one in each]) for name in each[0]}
 

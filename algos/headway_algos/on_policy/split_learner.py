@@ -55,6 +55,12 @@ class SplitLearner:
             self.is_split = True
         return self.separate.update(trajectory, iteration, progress)
 
+    def imitate(
+        self, trajectory: Trajectory, iteration: int, progress: float
+    ) -> dict[str, NDArray[np.float64]]:
+        """Let the shared policy imitate the actions. Raises HeadwayError after the split."""
+        return self.shared.imitate(trajectory, iteration, progress)
+
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the current learner, and whether the policies have been split."""
         learner = self.separate if self.is_split else self.shared

@@ -50,6 +50,8 @@ def cell_parameters(experiment: "Experiment") -> dict[str, Any]:
     """Return the parameters that all runs of a cell share, by dotted name."""
     whole = full_mapping(experiment, ())
     kept = {key: whole[key] for key in ("env_steps", "device", "env", "algo", "rollout")}
+    if experiment.config.start.rule:
+        kept["start"] = whole["start"]
     return dict(flat(kept))
 
 
@@ -70,6 +72,8 @@ def identity(mapping: Mapping[str, Any]) -> str:
     The number of processes, the store, the rules evaluated and energy measurement are left out.
     """
     kept = {name: mapping.get(name) for name in _IDENTITY_KEYS}
+    if (start := mapping.get("start") or {}).get("rule"):
+        kept["start"] = start
     evaluation = mapping.get("evaluation") or {}
     kept["evaluation"] = {name: value for name, value in evaluation.items() if name != "rules"}
     stack = mapping.get("backend", {}).get("stack", 1)

@@ -160,6 +160,26 @@ class BackendConfig:
 
 
 @dataclass(frozen=True)
+class StartConfig:
+    """What training starts from, instead of random parameters."""
+
+    rule: str | None = None
+    """Rule of the environment that acts first, in training; the policies learn to imitate its actions and the
+    critics to predict its returns. null: none."""
+    env_steps: int = 50_000
+    """Environment steps per seed in which the rule acts: the first of the experiment's `env_steps`, rounded
+    up to whole iterations."""
+
+    def __post_init__(self) -> None:
+        require_value(self, "env_steps", self.env_steps >= 1, "must be at least 1")
+        require_key(
+            self.rule is not None or self.env_steps == type(self).env_steps,
+            "env_steps",
+            "applies to a rule: set rule too, or leave this out",
+        )
+
+
+@dataclass(frozen=True)
 class EvaluationConfig:
     """Evaluation episodes. Their seeds are fixed, the same for every run, algorithm and rule."""
 
@@ -259,6 +279,7 @@ class ExperimentConfig:
     cells of a study that has several presets. Empty: unknown."""
     candidate: str = ""
     """Name of the search candidate, part of the names of its cells; set by `headway search`."""
+    start: StartConfig = field(default_factory=StartConfig)
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
@@ -271,8 +292,22 @@ class ExperimentConfig:
         require_key(all(seed >= 0 for seed in self.seed), "seed", "must not be negative")
         require_key(len(set(self.seed)) == len(self.seed), "seed", "must hold each seed once")
         require_value(self, "env_steps", self.env_steps >= 1, "must be at least 1")
+        require_key(
+            self.rule_iterations < self.iterations,
+            "start.env_steps",
+            f"{self.start.env_steps} leaves nothing of env_steps={self.env_steps} to learn in; lower it, or raise "
+            "env_steps",
+        )
 
     @property
     def iterations(self) -> int:
         """Iterations needed to reach `env_steps`, rounded up."""
-        return -(-self.env_steps // (self.rollout.copies * self.rollout.steps))
+        return self._iterations_of(self.env_steps)
+
+    @property
+    def rule_iterations(self) -> int:
+        """Number of first iterations in which the rule `start.rule` acts; 0 without one."""
+        return self._iterations_of(self.start.env_steps) if self.start.rule else 0
+
+    def _iterations_of(self, env_steps: int) -> int:
+        return -(-env_steps // (self.rollout.copies * self.rollout.steps))

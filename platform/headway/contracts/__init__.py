@@ -30,6 +30,7 @@ from headway.contracts.learner import (
     AsynchronousLearner,
     Contribution,
     Contributor,
+    ImitatingLearner,
     Learner,
     LearnerWithReplay,
 )
@@ -58,6 +59,7 @@ __all__ = [
     "EnvEntry",
     "EnvSpec",
     "HeadwayError",
+    "ImitatingLearner",
     "Lazy",
     "Learner",
     "LearnerWithReplay",

@@ -65,6 +65,20 @@ class LearnerWithReplay(Learner, Protocol):
         ...
 
 
+@runtime_checkable
+class ImitatingLearner(Learner, Protocol):
+    """A learner that can start from a rule's behaviour."""
+
+    def imitate(
+        self, trajectory: Trajectory, iteration: int, progress: float
+    ) -> dict[str, NDArray[np.float64]]:
+        """Learn from an iteration in which a rule acted; arguments, result and errors are those of `update`.
+
+        `trajectory.actions` are the rule's, in the units of policies, and `log_probs` are 0.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class Contribution:
     """A worker's result in asynchronous training: gradients and other inputs of the shared update."""

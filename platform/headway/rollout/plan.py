@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from headway.config.experiment import RolloutConfig
-from headway.contracts import BatchedEnv, EnvSpec, HeadwayError, TrajectoryLayout
+from headway.contracts import BatchedEnv, EnvSpec, HeadwayError, Rule, TrajectoryLayout
 from headway.contracts.acting_policy import ActingPolicy, Parameters, hidden_size
 from headway.rollout.scaled_actions import ScaledActions
 
@@ -89,6 +89,10 @@ class RolloutPlan:
     """Copies per replica in one inference batch."""
     training_prepared: Any = None
     """Result of `prepare` for the training environment; None: same as `prepared`."""
+    rule: Rule | None = None
+    """Rule of the training environment that acts in the first iterations instead of the policy."""
+    rule_iterations: int = 0
+    """Number of these iterations."""
 
     @classmethod
     def of(
@@ -103,10 +107,10 @@ class RolloutPlan:
         training_prepared: object = None,
     ) -> Self:
         """Return a plan with the copies, steps and block of a configuration."""
-        numbers = {"copies": rollout.copies, "steps": rollout.steps, "block": rollout.block}
         return cls(
-            make_env, preload, prepared, spec, policy, seeds, training_prepared=training_prepared, **numbers
-        )
+            make_env, preload, prepared, spec, policy, seeds, rollout.copies, rollout.steps, rollout.block,
+            training_prepared,
+        )  # fmt: skip
 
     @property
     def replicas(self) -> int:

@@ -15,6 +15,7 @@ from headway.rollout.forks import end_if_forked
 from headway.rollout.nan_check import check_finite
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.policy_player import PolicyPlayer
+from headway.rollout.scaled_actions import ScaledActions
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,9 @@ class Sampler:
         for t in range(self.plan.steps):
             self._store_observed(t, observed)
             actions, log_probs = self.player.act(parameters, observed, noise[t])
+            if iteration <= self.plan.rule_iterations:
+                # The policy acted too, for its hidden states, which its learner needs.
+                actions, log_probs = self._rule_actions(observed), np.zeros_like(log_probs)
             views["actions"][t] = self._by_replica(actions)
             views["log_probs"][t] = self._by_replica(log_probs)
             outcome, observed = self.env.step(actions)
@@ -135,6 +139,14 @@ class Sampler:
         self._store_observed(self.plan.steps, observed)
         self.observed = observed
         return episodes
+
+    def _rule_actions(self, observed: Observations) -> NDArray[Any]:
+        """Return the rule's actions in the units of policies."""
+        rule, env = self.plan.rule, self.env
+        assert rule is not None
+        if isinstance(env, ScaledActions):
+            return env.in_policy_units(rule.act(env.inner, observed))
+        return rule.act(env, observed)
 
     def _noise(self, iteration: int) -> NDArray[np.float64]:
         """Draw action noise (T, C, N, ...) from one random stream per (seed, copy, iteration).

@@ -23,3 +23,7 @@ class ScaledActions(BatchWrapper):
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         return super().step((self._scale * actions + self._offset).astype(np.float32))
+
+    def in_policy_units(self, actions: NDArray[Any]) -> NDArray[np.float32]:
+        """Return actions of the inner environment in the units of policies."""
+        return ((actions - self._offset) / self._scale).astype(np.float32)

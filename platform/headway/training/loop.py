@@ -15,6 +15,7 @@ from headway.contracts import (
     AsynchronousLearner,
     EnvSpec,
     HeadwayError,
+    ImitatingLearner,
     Learner,
     LearnerWithReplay,
 )
@@ -171,7 +172,9 @@ class _Training:
         self._log_episodes(done.episodes)
         at = self.iteration, self.env_steps
         self.report(IterationFinished(*at, self._usage(), self._wall_s(), done.collect_s, done.learn_s))
-        due = self.iteration == total or self._passed_multiple_of(self.config.evaluation.every)
+        due = self.iteration in (total, self.job.plan.rule_iterations) or self._passed_multiple_of(
+            self.config.evaluation.every
+        )
         self._write_curve(rows, self._evaluate(final=self.iteration == total) if due else None)
 
     def _passed_multiple_of(self, steps: int) -> bool:
@@ -305,9 +308,14 @@ def _open_mode(job: TrainingJob, learner: Learner, notify: Callable[[str], None]
     Raises HeadwayError if the algorithm's contributor and learner do not match.
     """
     backend, plan = job.config.backend, job.plan
+    if plan.rule is not None and not isinstance(learner, ImitatingLearner):
+        raise HeadwayError(
+            f"the entry of algo={job.config.algo.get('name')} has imitates=True, but its learner is not a "
+            "headway.contracts.ImitatingLearner; add the method imitate, or leave out start.rule"
+        )
     if job.make_contributor is None:
         collector = open_collector(backend, plan, job.workers, notify)
-        return collector, SynchronousMode(learner, collector)
+        return collector, SynchronousMode(learner, collector, plan.rule_iterations)
     if not isinstance(learner, AsynchronousLearner):
         raise HeadwayError(
             f"the entry of algo={job.config.algo.get('name')} has a contributor, but its learner is not "

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import AsynchronousLearner, Learner
+from headway.contracts import AsynchronousLearner, ImitatingLearner, Learner
 from headway.rollout.collector import Collector, Contributors
 from headway.rollout.sampler import Episode, sort_episodes
 from headway.rollout.workers.worker import Contribute
@@ -44,8 +44,10 @@ class SynchronousMode:
 
     deterministic = True
 
-    def __init__(self, learner: Learner, collector: Collector) -> None:
+    def __init__(self, learner: Learner, collector: Collector, rule_iterations: int = 0) -> None:
+        """In the first `rule_iterations` a rule acts, which an `ImitatingLearner` imitates."""
         self.learner, self.collector = learner, collector
+        self.rule_iterations = rule_iterations
 
     def iterate(self, iteration: int, progress: float) -> IterationResult:
         """Sample one iteration and learn from it."""
@@ -53,7 +55,11 @@ class SynchronousMode:
         parameters = self.learner.acting_parameters()
         episodes = self.collector.collect(iteration, parameters)
         collected = time.monotonic()
-        metrics = self.learner.update(self.collector.trajectory, iteration, progress)
+        learn = self.learner.update
+        if iteration <= self.rule_iterations:
+            assert isinstance(self.learner, ImitatingLearner)
+            learn = self.learner.imitate
+        metrics = learn(self.collector.trajectory, iteration, progress)
         return IterationResult(episodes, metrics, collected - start, time.monotonic() - collected)
 
 
