@@ -170,7 +170,8 @@ def _start_rule(experiment: Experiment, environment: PreparedEnv, name: str) -> 
         )
     if not experiment.algo.imitates:
         raise HeadwayError(
-            f"start.rule: {experiment.algo_name} cannot start from a rule; use another algorithm, such as algo=ippo"
+            f"start.rule: {experiment.algo_name} cannot start from a rule; use another algorithm, such as "
+            "algo=ippo"
         )
     try:
         return rules[name].make(environment.training)

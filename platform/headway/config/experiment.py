@@ -295,8 +295,8 @@ class ExperimentConfig:
         require_key(
             self.rule_iterations < self.iterations,
             "start.env_steps",
-            f"{self.start.env_steps} leaves nothing of env_steps={self.env_steps} to learn in; lower it, or raise "
-            "env_steps",
+            f"{self.start.env_steps} leaves nothing of env_steps={self.env_steps} to learn in; lower it, or "
+            "raise env_steps",
         )
 
     @property

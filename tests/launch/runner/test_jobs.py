@@ -11,6 +11,7 @@ import pytest
 from headway.config.experiment import BackendConfig, ExperimentConfig, RolloutConfig
 from headway.contracts import Discrete, EnvSpec, HeadwayError
 from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
 from headway_launch.runner.cores import share_cores, uses_gpu, workers_of
 from headway_launch.runner.jobs import new_jobs, plan_jobs, require_free_disk, within_processes
 
@@ -232,3 +233,45 @@ def test_invalid_settings_of_an_asynchronous_algorithm_print_one_line(
 def test_blocks_of_an_asynchronous_algorithm_shrink_to_the_limit_of_copies() -> None:
     job = plan_jobs(_limited_a3c())[0]
     assert (job.config.rollout.block, job.config.backend.workers) == (4, 2)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["env=trivial", "algo=ippo", "start.rule=optmal"], "'optmal' is not a rule of trivial .*optimal"),
+        (["env=trivial", "algo=ippo", "start.rule=random"], "'random' is not a rule of trivial"),
+        (["env=tracking", "algo=a3c", "start.rule=optimal"], "a3c cannot start from a rule; .*algo=ippo"),
+        (["env=mpe2.simple_spread_v3", "algo=ippo", "start.rule=x"], "has no rule to start from; leave it"),
+        (
+            ["env=visitors", "algo=ippo", "start.rule=optimal", "env.wrappers=[pad_action_space_v0]"],
+            "start.rule: ",
+        ),
+    ],
+)
+def test_rules_that_training_cannot_start_from_are_refused(words: list[str], line: str) -> None:
+    with pytest.raises(HeadwayError, match=line):
+        plan_jobs(compose([*words, "evaluation.rules=[]"]))
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["start.rule=optimal", "start.env_steps=0"], "start.env_steps must be at least 1, not 0"),
+        (["start.rule=optimal", "start.env_steps=9000"], "9000 leaves nothing of env_steps=9000 to learn in"),
+        (["start.env_steps=10"], "start.env_steps applies to a rule: set rule too, or leave this out"),
+    ],
+)
+def test_budgets_of_a_rule_that_leave_nothing_to_learn_are_refused(words: list[str], line: str) -> None:
+    with pytest.raises(HeadwayError, match=line):
+        compose(["env=trivial", "algo=ippo", "env_steps=9000", *words])
+
+
+def test_a_start_from_a_rule_is_a_cell_of_its_own() -> None:
+    bare = compose(["env=trivial", "algo=ippo"])
+    started = compose(["env=trivial", "algo=ippo", "start.rule=optimal"])
+    assert identity(full_mapping(bare, (0,))) != identity(full_mapping(started, (0,)))
+    keys = {"start.rule": "optimal", "start.env_steps": 50_000}
+    assert cell_parameters(started) == {**cell_parameters(bare), **keys}
+    # Runs stored before the key existed are the same runs.
+    before = {key: value for key, value in full_mapping(bare, (0,)).items() if key != "start"}
+    assert identity(before) == identity(full_mapping(bare, (0,)))

@@ -1,0 +1,134 @@
+"""Policies that imitate a rule's actions."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from learned import assert_equal, tensors
+from numpy.typing import NDArray
+
+from headway.contracts import (
+    Box,
+    Discrete,
+    EnvSpec,
+    ImitatingLearner,
+    MultiDiscrete,
+    Observations,
+    RecurrentPolicy,
+    Trajectory,
+)
+from headway_algos.config import ModelConfig
+from headway_algos.registry import ENTRIES, configure
+
+Fabricate = Callable[..., Trajectory]
+SPEC = EnvSpec("made", ("a", "b"), 3, Discrete(3), state_size=2)
+MASKED = replace(SPEC, has_action_mask=True, agents_come_and_go=True)
+TWO_CHOICES = replace(SPEC, action_space=MultiDiscrete((3, 2)))
+BOX = replace(SPEC, action_space=Box((-1.0, -1.0), (1.0, 1.0)))
+MODEL = ModelConfig(hidden=(16, 16))
+GRU = ModelConfig(hidden=(16,), core="gru", gru_size=8, sequence_length=5)
+SCORES = np.array([[1.0, -0.6, 0.2], [-0.4, 0.9, 0.5], [0.1, 0.3, -1.2]])
+"""(D, A): the rule's linear scores of the actions."""
+
+
+def _rule_actions(spec: EnvSpec, observations: NDArray[np.float32], masks: NDArray[np.bool_]) -> NDArray[Any]:
+    """Return the best allowed action by linear scores; for Box actions, two bounded scores themselves."""
+    scores = observations @ SCORES
+    if isinstance(spec.action_space, Box):
+        return np.tanh(scores[..., :2]).astype(np.float32)
+    if isinstance(spec.action_space, MultiDiscrete):
+        return np.stack([scores.argmax(axis=-1), (scores[..., 0] > 1).astype(np.int64)], axis=-1)
+    return np.where(masks if len(masks) else True, scores, -np.inf).argmax(axis=-1)
+
+
+def _played_by_rule(
+    fabricate: Fabricate, spec: EnvSpec, hidden_size: int, seed: int, copies: int
+) -> Trajectory:
+    """Return a random trajectory, with NaN in rows of absent agents, in which the rule acted."""
+    made = fabricate(spec, 64, copies, seed=seed, absent=0.2, idle=0.2, hidden_size=hidden_size)
+    made.actions[:] = _rule_actions(spec, made.observations[:-1], made.action_masks[:-1])
+    made.log_probs[:] = 0
+    made.observations[~made.alive] = np.nan
+    return made
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "spec", "settings", "seeds"),
+    [
+        ("ippo", MASKED, {}, (3,)),
+        ("mappo", SPEC, {"model": GRU}, (3,)),
+        ("itrpo", TWO_CHOICES, {}, (3,)),
+        ("maacktr", BOX, {}, (3,)),
+        ("coma", MASKED, {"precision": "float64"}, (3, 4)),
+        ("happo", BOX, {"policies": "independent"}, (3, 4)),
+        ("ia2c", SPEC, {"policies": "independent", "shared_until": 0.5}, (3,)),
+    ],
+)
+def test_greedy_actions_become_those_of_the_rule(
+    algorithm: str, spec: EnvSpec, settings: dict[str, Any], seeds: tuple[int, ...], fabricate: Fabricate
+) -> None:
+    config = configure(algorithm, **{"model": MODEL, **settings})
+    learner = ENTRIES[algorithm].learner(config, spec, seeds, "cpu")
+    assert isinstance(learner, ImitatingLearner)
+    policy = ENTRIES[algorithm].acting_policy(config, spec)
+    hidden_size = policy.hidden_size if isinstance(policy, RecurrentPolicy) else 0
+    before = learner.acting_parameters()
+    for iteration in range(1, 16):
+        trajectory = _played_by_rule(fabricate, spec, hidden_size, iteration, 8 * len(seeds))
+        metrics = learner.imitate(trajectory, iteration, 0.0)
+        assert all(value.shape == (len(seeds),) for value in metrics.values())
+    new = fabricate(spec, 32, len(seeds), seed=99)
+    masks = new.action_masks[:-1]
+    expected = _rule_actions(spec, new.observations[:-1], masks)
+    alike = []
+    for t in range(len(new.rewards)):
+        observed = Observations(
+            new.observations[t], new.states[t], new.alive[t], masks[t] if len(masks) else None
+        )
+        if isinstance(policy, RecurrentPolicy):
+            nothing = np.zeros((*new.alive[t].shape, hidden_size))
+            actions = policy.act_from(learner.acting_parameters(), observed, nothing, None)[0]
+        else:
+            actions = policy.act(learner.acting_parameters(), observed, None)[0]
+        alike.append(np.abs(actions - expected[t]) < (0.2 if isinstance(spec.action_space, Box) else 0.5))
+    assert np.mean(alike) > 0.95
+    if "log_std" in before:
+        np.testing.assert_array_equal(learner.acting_parameters()["log_std"], before["log_std"])
+
+
+def test_the_critic_learns_the_returns_of_the_rule(fabricate: Fabricate) -> None:
+    """Every step pays 1 and ends its stream: the return of each is 1."""
+    learner = ENTRIES["mappo"].learner(
+        configure("mappo", model=MODEL, normalise_values=False), SPEC, (3,), "cpu"
+    )
+    losses: list[float] = []
+    for iteration in range(1, 11):
+        trajectory = fabricate(SPEC, 64, 8, seed=iteration, ends=1.0)
+        trajectory.rewards[:] = 1
+        trajectory.truncated[:], trajectory.terminated[:] = False, True
+        losses.append(learner.imitate(trajectory, iteration, 0.0)["critic/loss"][0])
+    assert losses[0] > 0.5
+    assert losses[-1] < 0.05
+
+
+def test_actions_that_the_mask_forbids_teach_nothing(fabricate: Fabricate) -> None:
+    config = configure("ippo", model=MODEL, normalise_observations=False)
+    learner = ENTRIES["ippo"].learner(config, MASKED, (3,), "cpu")
+    before = tensors(learner.state_dict()["actor"])
+    trajectory = _played_by_rule(fabricate, MASKED, 0, 1, 8)
+    trajectory.action_masks[:] = np.arange(3) != trajectory.actions.max()
+    trajectory.actions[:] = trajectory.actions.max()
+    learner.imitate(trajectory, 1, 0.0)
+    networks = {name for name in before if "moments" not in name}
+    after = tensors(learner.state_dict()["actor"])
+    assert_equal({name: after[name] for name in networks}, {name: before[name] for name in networks})
+
+
+def test_replay_buffers_are_filled_with_the_transitions_of_the_rule(fabricate: Fabricate) -> None:
+    config = configure("madqn", model=MODEL, learning_starts=10_000)
+    learner = ENTRIES["madqn"].learner(config, SPEC, (3,), "cpu")
+    assert isinstance(learner, ImitatingLearner)
+    stored = learner.imitate(_played_by_rule(fabricate, SPEC, 0, 1, 4), 1, 0.0)["memory/transitions"]
+    assert stored[0] > 100
