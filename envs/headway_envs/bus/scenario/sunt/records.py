@@ -253,9 +253,10 @@ def _parquet(file: Path, columns: tuple[str, ...]) -> pd.DataFrame:
         raise HeadwayError(f"{file} is not a regular file; remove it")
     try:
         there = set(parquet.read_schema(file).names)
+        if missing := [column for column in columns if column not in there]:
+            raise HeadwayError(
+                f"{file.name} lacks column {missing[0]}: it is not a file of SUNT of this kind"
+            )
+        return pd.read_parquet(file, columns=list(columns))
     except (OSError, ValueError) as error:
         raise HeadwayError(f"{file} is not a readable Parquet file; fetch it again ({error})") from error
-    for column in columns:
-        if column not in there:
-            raise HeadwayError(f"{file.name} lacks column {column}: it is not a file of SUNT of this kind")
-    return pd.read_parquet(file, columns=list(columns))

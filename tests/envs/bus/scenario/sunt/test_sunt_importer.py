@@ -160,6 +160,17 @@ def test_wrong_folders_are_one_line(tmp_path: Path) -> None:
         imported(raw)
 
 
+def test_a_file_whose_compressed_data_are_damaged_is_named(tmp_path: Path) -> None:
+    """Its schema, at the end of the file, is intact."""
+    raw = write_raw(tmp_path, {SUNDAY: records(SUNDAY)})
+    [file] = raw.rglob("od-2024-09-15.parquet")
+    content = bytearray(file.read_bytes())
+    content[4:400] = bytes(396)
+    file.write_bytes(content)
+    with pytest.raises(HeadwayError, match=r"od-2024-09-15\.parquet is not a readable Parquet file"):
+        imported(raw)
+
+
 @pytest.mark.parametrize(
     ("column", "value", "message"),
     [
