@@ -25,16 +25,18 @@ def imitate(
     config: AlgoConfig,
     layout: Layout,
     generators: Sequence[np.random.Generator],
+    share: float,
 ) -> dict[str, Tensor]:
     """Raise the likelihood of the actions in `rows`; return metrics (P,), NaN for policies without rows.
 
     Adam starts anew with every call, and a Gaussian's spread is kept for exploration, so that nothing is
-    carried from one call to the next but the networks.
+    carried from one call to the next but the networks. `share`, of the learning rate, should fall from call
+    to call: an iteration may show one part of an episode only, which the next would overwrite.
     """
     # A copy, since the update that learns afterwards has the actor's parameters in its own optimiser.
     learned = actor.narrow(torch.arange(len(rows.selected), device=layout.device))
     settings = GradientUpdateConfig(
-        model=config.model, lr=LR, grad_clip=None, piece_samples=config.piece_samples
+        model=config.model, lr=LR * share, grad_clip=None, piece_samples=config.piece_samples
     )
     # With advantages of 1 and no entropy bonus A2C's loss is the negative log-likelihood.
     update = GradientUpdate(learned, settings, layout, A2CLoss(entropy_coeff=0.0), EPOCHS, MINIBATCHES)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -94,21 +95,22 @@ class OnPolicyLearner(PolicyStack):
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """Compute advantages, then update policies, critic and normalisers, in this order."""
-        return self._learn(trajectory, iteration, progress, self._improve_policies)
+        share = self.step_scale * self.config.lr_factor(progress)
+        self.policy_update.anneal(share)
+        self.critic.anneal(share)
+        return self._learn(trajectory, iteration, self._improve_policies)
 
     def imitate(
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """Raise the likelihood of the actions, and train the critic on their returns."""
-        return self._learn(trajectory, iteration, progress, self._imitate)
+        self.critic.anneal(self.step_scale)
+        return self._learn(trajectory, iteration, partial(self._imitate, share=1 - progress))
 
     def _learn(
-        self, trajectory: Trajectory, iteration: int, progress: float, improve: Improve
+        self, trajectory: Trajectory, iteration: int, improve: Improve
     ) -> dict[str, NDArray[np.float64]]:
         trajectory = self._drop_unused_slots(trajectory_with_ids(trajectory, self.agent_ids))
-        share = self.step_scale * self.config.lr_factor(progress)
-        self.policy_update.anneal(share)
-        self.critic.anneal(share)
         observations = self._observations(trajectory)
         hidden_states = self._hidden_states(trajectory, observations)
         estimate = self.critic.estimate(
@@ -190,9 +192,12 @@ class OnPolicyLearner(PolicyStack):
         improve: Order = component("order", self.config.order).make
         return improve(self.policy_update, self.grouping, rows, advantages, generators, order_generators)
 
-    def _imitate(self, rows: PolicyBatch, advantages: Tensor, iteration: int) -> dict[str, Tensor]:
+    def _imitate(
+        self, rows: PolicyBatch, advantages: Tensor, iteration: int, share: float
+    ) -> dict[str, Tensor]:
+        """Imitate the actions, with `share` of the learning rate."""
         generators = self.generators("actor minibatch", iteration)
-        return imitate(self.actor, rows, self.config, self.layout, generators)
+        return imitate(self.actor, rows, self.config, self.layout, generators, share)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the states of policies, critic and update."""

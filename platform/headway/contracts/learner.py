@@ -72,9 +72,10 @@ class ImitatingLearner(Learner, Protocol):
     def imitate(
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
-        """Learn from an iteration in which a rule acted; arguments, result and errors are those of `update`.
+        """Learn from an iteration in which a rule acted; result and errors are those of `update`.
 
-        `trajectory.actions` are the rule's, in the units of policies, and `log_probs` are 0.
+        `trajectory.actions` are the rule's, in the units of policies, and `log_probs` are 0. `progress`, in
+        [0, 1), is the share of the rule's iterations before this one.
         """
         ...
 

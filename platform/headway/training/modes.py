@@ -55,11 +55,12 @@ class SynchronousMode:
         parameters = self.learner.acting_parameters()
         episodes = self.collector.collect(iteration, parameters)
         collected = time.monotonic()
-        learn = self.learner.update
+        trajectory = self.collector.trajectory
         if iteration <= self.rule_iterations:
             assert isinstance(self.learner, ImitatingLearner)
-            learn = self.learner.imitate
-        metrics = learn(self.collector.trajectory, iteration, progress)
+            metrics = self.learner.imitate(trajectory, iteration, (iteration - 1) / self.rule_iterations)
+        else:
+            metrics = self.learner.update(trajectory, iteration, progress)
         return IterationResult(episodes, metrics, collected - start, time.monotonic() - collected)
 
 
