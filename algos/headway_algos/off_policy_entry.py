@@ -88,7 +88,7 @@ def replay_entry(recipe: ReplayRecipe) -> AlgoEntry:
         learner=partial(LEARNER, method=recipe.make_method),
         refuses=_refuses_all_but_discrete if discrete else _refuses_all_but_bounded,
         replay_bytes=_replay_bytes,
-        imitates=True,
+        starts=True,
         kernels=KERNELS,
         rollout=_rollout,
     )

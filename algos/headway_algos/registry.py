@@ -95,7 +95,7 @@ def entry(recipe: Recipe) -> AlgoEntry:
         recipe.learner,
         _refuses,
         refuses_budget=_refuses_budget,
-        imitates=recipe.contributor is None,
+        starts=recipe.contributor is None,
         contributor=recipe.contributor,
         preload=recipe.preload,
         kernels=KERNELS,

@@ -10,10 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import EnvSpec, Trajectory
+from headway.contracts import EnvSpec, HeadwayError, Trajectory
 from headway_algos.agent_id import trajectory_with_ids
 from headway_algos.batches.divergence import raise_if_diverged
 from headway_algos.batches.layout import mean_per_replica
+from headway_algos.batches.nested_states import replica_state, same_shapes
 from headway_algos.batches.policy_stack import PolicyStack
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.networks.network import acting_arrays
@@ -118,6 +119,23 @@ class OffPolicyLearner(PolicyStack):
     ) -> dict[str, NDArray[np.float64]]:
         """Store the rule's transitions and learn from them as from any others."""
         return self.update(trajectory, iteration, progress)
+
+    def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
+        """Implement `headway.contracts.StartingLearner.start_from`.
+
+        The networks depend on one another, so all are taken over or none; the replay buffer starts empty.
+        """
+        parent = replica_state(state, replica, replicas, len(self.seeds))
+        own = self.method.state_dict()
+        taken = {name: part for name, part in parent["method"].items() if "optimiser" not in name}
+        if not (with_critic and same_shapes(taken, {name: own.get(name) for name in taken})):
+            raise HeadwayError(
+                f"start.run is a run of another algorithm or of other networks than {self.config.name} has "
+                "here; start from a run of the same"
+            )
+        self.method.load_state_dict({**own, **taken})
+        self.moments.load_state_dict(parent["moments"])
+        return []
 
     def _store(self, trajectory: Trajectory) -> None:
         transitions = self.transition_builder.transitions(trajectory)

@@ -17,6 +17,7 @@ from headway_algos.batches.device import resolve_device
 from headway_algos.batches.divergence import raise_if_critic_diverged, raise_if_diverged
 from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import mean_per_replica
+from headway_algos.batches.nested_states import replica_state, same_shapes, trained_state
 from headway_algos.batches.policy_batch import PolicyBatch, standardise
 from headway_algos.batches.policy_stack import PolicyStack
 from headway_algos.components import component
@@ -29,6 +30,8 @@ from headway_algos.on_policy.critics import Critic
 from headway_algos.on_policy.imitation import imitate
 from headway_algos.on_policy.updates import Update
 
+_NETWORKS = ("networks", "target")
+"""Parts of a critic's state that another run can start from: networks with their normalisers."""
 GPU_PIECE_SAMPLES = 2**20
 """Least samples per piece on a GPU, which pieces that fit a processor's cache leave idle."""
 
@@ -198,6 +201,17 @@ class OnPolicyLearner(PolicyStack):
         """Imitate the actions, with `share` of the learning rate."""
         generators = self.generators("actor minibatch", iteration)
         return imitate(self.actor, rows, self.config, self.layout, generators, share)
+
+    def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
+        """Implement `headway.contracts.StartingLearner.start_from`."""
+        parent = replica_state(trained_state(state), replica, replicas, len(self.seeds))
+        self.actor.load_state_dict(parent["actor"])
+        own = self.critic.state_dict()
+        taken = {name: parent["critic"][name] for name in _NETWORKS if name in own} if with_critic else {}
+        if not same_shapes(taken, {name: own[name] for name in taken}):
+            return ["the critic of start.run does not fit this environment: a new one is trained"]
+        self.critic.load_state_dict({**own, **taken})
+        return []
 
     def state_dict(self) -> dict[str, Any]:
         """Return the states of policies, critic and update."""

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import ImitatingLearner, Trajectory
-from headway_algos.on_policy.nested_states import map_tensors
+from headway.contracts import StartingLearner, Trajectory
+from headway_algos.batches.nested_states import map_tensors
 
 Learn = Callable[[Trajectory, int, float], dict[str, NDArray[np.float64]]]
 """`Learner.update` or `Learner.imitate`."""
@@ -25,7 +25,7 @@ class PerSeedLearner:
     States and acting parameters have the layout of one learner of R seeds: a leading axis of R x K policies.
     """
 
-    def __init__(self, learners: Sequence[ImitatingLearner]) -> None:
+    def __init__(self, learners: Sequence[StartingLearner]) -> None:
         """`learners`: one per seed, in the order of the stack."""
         self.learners = tuple(learners)
 
@@ -55,6 +55,11 @@ class PerSeedLearner:
             for r, learn in enumerate(ways)
         ]
         return {name: np.concatenate([one[name] for one in each]) for name in each[0]}
+
+    def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
+        """Let each learner start from the same policies; return the notices of one."""
+        each = [learner.start_from(state, replica, replicas, with_critic) for learner in self.learners]
+        return each[0]
 
     def state_dict(self) -> dict[str, Any]:
         """Return the learners' states as one, concatenated along the policy axis."""

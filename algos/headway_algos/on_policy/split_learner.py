@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import EnvSpec, Trajectory
+from headway.contracts import EnvSpec, HeadwayError, Trajectory
+from headway_algos.batches.nested_states import map_tensors
 from headway_algos.config import SimultaneousConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
-from headway_algos.on_policy.nested_states import map_tensors
 
 
 class SplitLearner:
@@ -60,6 +60,10 @@ class SplitLearner:
     ) -> dict[str, NDArray[np.float64]]:
         """Let the shared policy imitate the actions. Raises HeadwayError after the split."""
         return self.shared.imitate(trajectory, iteration, progress)
+
+    def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
+        """Raise HeadwayError: another run's separate policies are no shared one."""
+        raise HeadwayError("algo.shared_until begins with a shared policy, not with those of start.run")
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the current learner, and whether the policies have been split."""

@@ -78,6 +78,7 @@ def execute(arguments: argparse.Namespace) -> int:
         rules_to_play,
     )
     from headway_launch.runner.warm_up import compile_kernels
+    from headway_launch.studies.starts import start_line
 
     if arguments.episodes < 2:
         raise HeadwayError(
@@ -134,6 +135,11 @@ def execute(arguments: argparse.Namespace) -> int:
     )
     mode = f", {arguments.mode}" if cells else ""
     print_table(columns, rows, title=f"{subject.name}: {episodes} episodes of {found.spec.name}{mode}")
+    for label, members in cells.items():
+        folders = [run.directory for run in members]
+        return_metric = f"evaluation_{arguments.mode}/return"
+        if line := start_line(label, Path(arguments.store), folders, return_metric):
+            print_line(line)
     fewest = min(map(len, cells.values()), default=SEEDS_FOR_A_CLAIM)
     if fewest < SEEDS_FOR_A_CLAIM:
         print_line(few_seeds(fewest))

@@ -26,6 +26,7 @@ from headway.contracts.errors import HeadwayError, UnknownKeyError
 from headway.environments import chosen_env, notices_of
 from headway.registry import is_external, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
+from headway.store.run_folder import find_run
 from headway_launch.console.output import print_line, prints_to_stderr
 from headway_launch.experiments.experiment_file import choice_of_file, split_experiment_file
 from headway_launch.experiments.options import (
@@ -190,11 +191,24 @@ def compose(overrides: Sequence[str]) -> Experiment:
     preset = choices.get("preset") or NO_PRESET
     values = _preset_values(presets, mapping, by_default=preset.startswith(_DEFAULT))
     try:
-        return resolve({**_merged(values, mapping), "preset": preset if values else NO_PRESET})
+        experiment = resolve({**_merged(values, mapping), "preset": preset if values else NO_PRESET})
+        return _with_parent_named(experiment)
     except UnknownKeyError as error:
         if _has_key(values, error.key) and not _has_key(mapping, error.key):
             raise HeadwayError(f"preset={preset} does not fit this experiment: {error}") from error
         raise
+
+
+def _with_parent_named(experiment: Experiment) -> Experiment:
+    """Return the experiment with the whole name of the run `start.run`, which identifies cells."""
+    config = experiment.config
+    if config.start.run is None:
+        return experiment
+    try:
+        name = find_run(Path(config.store.root), config.start.run).name
+    except HeadwayError as error:
+        raise HeadwayError(f"start.run: {error}") from error
+    return replace(experiment, config=replace(config, start=replace(config.start, run=name)))
 
 
 def _preset_values(

@@ -50,9 +50,17 @@ def cell_parameters(experiment: "Experiment") -> dict[str, Any]:
     """Return the parameters that all runs of a cell share, by dotted name."""
     whole = full_mapping(experiment, ())
     kept = {key: whole[key] for key in ("env_steps", "device", "env", "algo", "rollout")}
-    if experiment.config.start.rule:
-        kept["start"] = whole["start"]
+    if start := _start(whole):
+        kept["start"] = start
     return dict(flat(kept))
+
+
+def _start(mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a run starts from, without keys that have no effect; empty for random parameters."""
+    start = mapping.get("start") or {}
+    if start.get("rule"):
+        return {key: start[key] for key in ("rule", "env_steps")}
+    return {"run": start["run"]} if start.get("run") else {}
 
 
 def flat(mapping: Mapping[str, Any], path: str = "", with_empty: bool = False) -> list[tuple[str, Any]]:
@@ -72,7 +80,7 @@ def identity(mapping: Mapping[str, Any]) -> str:
     The number of processes, the store, the rules evaluated and energy measurement are left out.
     """
     kept = {name: mapping.get(name) for name in _IDENTITY_KEYS}
-    if (start := mapping.get("start") or {}).get("rule"):
+    if start := _start(mapping):
         kept["start"] = start
     evaluation = mapping.get("evaluation") or {}
     kept["evaluation"] = {name: value for name, value in evaluation.items() if name != "rules"}

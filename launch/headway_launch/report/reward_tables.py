@@ -1,5 +1,6 @@
 """Sections on final rewards: means and AUC, interquartile means, differences from rules, and comparisons."""
 
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -19,6 +20,7 @@ from headway_launch.report.elements import (
 )
 from headway_launch.report.study_data import DifferenceFromBest, StudyData, mean_of_known
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
+from headway_launch.studies.starts import start_line
 
 
 def final_reward_section(data: StudyData) -> Section:
@@ -63,7 +65,7 @@ def final_reward_section(data: StudyData) -> Section:
         "episodes is shown beside it and is used in all other parts of this page.",
         *_training_notes(data),
     ]
-    body += [table, *_unequal_budgets(data), *_too_short(data), *_single_seeds(data)]
+    body += [table, *_starts(data), *_unequal_budgets(data), *_too_short(data), *_single_seeds(data)]
     return Section("rewards", f"Final {data.metric_label} and AUC", body)
 
 
@@ -304,6 +306,16 @@ def _single_seeds(data: StudyData) -> list[str]:
         f"Only one seed {'each ' if len(names) > 1 else ''}of {', '.join(names)} was trained: the variation "
         "between seeds is unknown, so no standard deviation and no interval over seeds is given."
     ]
+
+
+def _starts(data: StudyData) -> list[str]:
+    """Return a note on each controller that did not start from random parameters."""
+    lines = []
+    for (task, controller), members in data.cells.items():
+        folders = [Path(row.directory) for row in members]
+        name = f"{controller}{data.where(task)}"
+        lines.append(start_line(name, data.runs.root, folders, data.metric))
+    return [f"{line}." for line in lines if line]
 
 
 def _unequal_budgets(data: StudyData) -> list[str]:

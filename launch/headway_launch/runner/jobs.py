@@ -10,17 +10,15 @@ from typing import Self
 
 from headway.adapters.env_file import require_unchanged
 from headway.config.experiment import ExperimentConfig, RolloutConfig
-from headway.config.schema import suggestion
-from headway.contracts.entries import Rule
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
-from headway.contracts.random_rule import RANDOM
 from headway.rollout.plan import RolloutPlan, copies_limit_text, within_limit
 from headway.store.atomic_files import make_folder
 from headway.training.loop import TrainingJob
 from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment, PreparedEnv
+from headway_launch.experiments.start import parent_run, start_rule
 
 _FREE_BYTES = 200 * 2**20
 _FREE_BYTES_PER_SEED = 10 * 2**20
@@ -67,9 +65,8 @@ class PlannedJob:
             seeds,
             environment.training,
         )
-        if config.start.rule is not None:
-            rule = _start_rule(experiment, environment, config.start.rule)
-            plan = replace(plan, rule=rule, rule_iterations=config.rule_iterations)
+        rule = start_rule(experiment, environment)
+        plan = replace(plan, rule=rule, rule_iterations=config.rule_iterations)
         training = TrainingJob(
             plan,
             algo.learner,
@@ -141,42 +138,13 @@ def new_jobs(
     else:
         config = _one_worker_per_block(requested, environment.spec, experiment.algo_name)
         _print_workers(config.rollout, experiment.algo_name)
-    stack = config.backend.stack
-    return tuple(
-        PlannedJob.of(
-            experiment,
-            config,
-            environment,
-            environment.spec.for_policies,
-            tuple(seeds[first : first + stack]),
-        )
+    stack, spec = config.backend.stack, environment.spec.for_policies
+    jobs = [
+        PlannedJob.of(experiment, config, environment, spec, tuple(seeds[first : first + stack]))
         for first in range(0, len(seeds), stack)
-    )
-
-
-def _start_rule(experiment: Experiment, environment: PreparedEnv, name: str) -> Rule:
-    """Return the rule that training starts from, for the training environment.
-
-    Raises HeadwayError if there is none of this name, or if it or the algorithm cannot be used.
-    """
-    # The draws of `random` are no part of an environment's snapshots, so that a resumed run would differ.
-    rules = {rule: entry for rule, entry in experiment.training_env.rules.items() if entry is not RANDOM}
-    if not rules:
-        raise HeadwayError(f"start.rule: {experiment.config.env.id} has no rule to start from; leave it out")
-    if name not in rules:
-        raise HeadwayError(
-            f"start.rule: {name!r} is not a rule of {experiment.config.env.id} to start from; "
-            f"{suggestion(name, rules)}"
-        )
-    if not experiment.algo.imitates:
-        raise HeadwayError(
-            f"start.rule: {experiment.algo_name} cannot start from a rule; use another algorithm, such as "
-            "algo=ippo"
-        )
-    try:
-        return rules[name].make(environment.training)
-    except HeadwayError as error:  # wrappers hide its inputs
-        raise HeadwayError(f"start.rule: {error}") from error
+    ]
+    parent = parent_run(experiment, jobs[0].training.plan.policy)
+    return tuple(replace(job, training=replace(job.training, parent=parent)) for job in jobs)
 
 
 def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfig:

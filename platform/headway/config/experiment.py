@@ -169,8 +169,13 @@ class StartConfig:
     env_steps: int = 50_000
     """Environment steps per seed in which the rule acts: the first of the experiment's `env_steps`, rounded
     up to whole iterations."""
+    run: str | None = None
+    """Run, by any unique part of its name, from whose newest checkpoint training starts: policies,
+    normalisers and, with the same algorithm and shapes, critics. Optimisers and schedules start anew.
+    null: none."""
 
     def __post_init__(self) -> None:
+        require_key(self.rule is None or self.run is None, "run", "excludes rule: leave one of them out")
         require_value(self, "env_steps", self.env_steps >= 1, "must be at least 1")
         require_key(
             self.rule is not None or self.env_steps == type(self).env_steps,

@@ -30,9 +30,9 @@ from headway.contracts.learner import (
     AsynchronousLearner,
     Contribution,
     Contributor,
-    ImitatingLearner,
     Learner,
     LearnerWithReplay,
+    StartingLearner,
 )
 from headway.contracts.policy_network import DescribedPolicy, PolicyNetwork
 from headway.contracts.published import PublishedResult, PublishedResults
@@ -59,7 +59,6 @@ __all__ = [
     "EnvEntry",
     "EnvSpec",
     "HeadwayError",
-    "ImitatingLearner",
     "Lazy",
     "Learner",
     "LearnerWithReplay",
@@ -74,6 +73,7 @@ __all__ = [
     "Renderer",
     "Rule",
     "RuleEntry",
+    "StartingLearner",
     "StepResult",
     "Trajectory",
     "TrajectoryLayout",

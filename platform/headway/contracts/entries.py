@@ -156,8 +156,8 @@ class AlgoEntry:
     are stored in addition to a checkpoint; 0 for algorithms without replay."""
     refuses_budget: Callable[[Any, int], str | None] = _any_budget
     """(config, iterations) -> one line saying why the config needs more iterations; None if they suffice."""
-    imitates: bool = False
-    """Whether its learner is an `ImitatingLearner`, so that training can start from a rule (`start.rule`)."""
+    starts: bool = False
+    """Whether its learner is a `StartingLearner`: `start.rule` and `start.run` can be set."""
     contributor: Callable[[Any, EnvSpec, Sequence[int]], Contributor] | None = None
     """(config, spec, seeds of the replicas) -> the worker's part of an `AsynchronousLearner`; it may import
     torch. None: the learner is synchronous."""

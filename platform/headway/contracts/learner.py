@@ -66,8 +66,8 @@ class LearnerWithReplay(Learner, Protocol):
 
 
 @runtime_checkable
-class ImitatingLearner(Learner, Protocol):
-    """A learner that can start from a rule's behaviour."""
+class StartingLearner(Learner, Protocol):
+    """A learner that can start from a rule or from another run."""
 
     def imitate(
         self, trajectory: Trajectory, iteration: int, progress: float
@@ -76,6 +76,15 @@ class ImitatingLearner(Learner, Protocol):
 
         `trajectory.actions` are the rule's, in the units of policies, and `log_probs` are 0. `progress`, in
         [0, 1), is the share of the rule's iterations before this one.
+        """
+        ...
+
+    def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
+        """Take over the policies of another run, the same for all replicas; return notices.
+
+        `state` is the `state_dict` of a learner of `replicas` replicas, of which `replica` counts; its
+        policies have the shapes of this learner's. `with_critic`: take over the critic too, if it fits.
+        Raises HeadwayError if the state cannot be used.
         """
         ...
 

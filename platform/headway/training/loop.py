@@ -15,9 +15,9 @@ from headway.contracts import (
     AsynchronousLearner,
     EnvSpec,
     HeadwayError,
-    ImitatingLearner,
     Learner,
     LearnerWithReplay,
+    StartingLearner,
 )
 from headway.events import (
     LABELS,
@@ -41,6 +41,7 @@ from headway.rollout.workers.usage import OwnUsage
 from headway.store.checkpoint import (
     checkpoint_bytes,
     load_for_resume,
+    load_latest,
     remove_replay,
     require_same_shapes,
     write_checkpoint,
@@ -49,6 +50,20 @@ from headway.store.checkpoint import (
 from headway.store.parquet_log import RunLog
 from headway.store.run_folder import CHECKPOINTS
 from headway.training.modes import AsynchronousMode, Mode, SynchronousMode
+
+
+@dataclass(frozen=True)
+class ParentRun:
+    """The run that training starts from."""
+
+    directory: str
+    """Run folder."""
+    replica: int
+    """Place of its seed in the stack that its checkpoints contain."""
+    replicas: int
+    """Seeds of that stack."""
+    with_critic: bool
+    """Whether its critic is taken over too."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +85,8 @@ class TrainingJob:
     """Gates through which the run folders are written, one per seed (see `headway.store.fencing`); empty: no
     gates."""
     resume: bool = False
+    parent: ParentRun | None = None
+    """None: training starts from random parameters or from the plan's rule."""
     make_contributor: MakeContributor | None = None
     """The algorithm entry's `contributor`; None: training is synchronous."""
     contributor_preload: tuple[str, ...] = ()
@@ -120,6 +137,11 @@ class _Training:
         folders = zip(job.directories, job.gate_paths, strict=True)
         self.logs = [RunLog(Path(directory), gate) for directory, gate in folders]
         self.learner = job.make_learner(job.algo_config, job.spec, job.seeds, job.config.device)
+        if not ((job.plan.rule is None and job.parent is None) or isinstance(self.learner, StartingLearner)):
+            raise HeadwayError(
+                f"the entry of algo={job.config.algo.get('name')} has starts=True, but its learner is not a "
+                "headway.contracts.StartingLearner; add the missing methods, or leave out start"
+            )
         self.backend, self.mode = _open_mode(job, self.learner, lambda line: report(Notice(line)))
         self.iteration = 0
         """Iterations finished."""
@@ -146,6 +168,7 @@ class _Training:
             # Drop the rows of a session that died before its first checkpoint.
             for log in self.logs:
                 log.rewind(-1)
+            self._start()
             self.backend.begin()
         give_back_memory()
         process_ids = (os.getpid(), *self.backend.process_ids())
@@ -268,6 +291,17 @@ class _Training:
         self.store_s += time.monotonic() - began
         self.report(CheckpointSaved(self.iteration))
 
+    def _start(self) -> None:
+        """Take over the parent run's policies, if there is one."""
+        parent, learner = self.job.parent, self.learner
+        if parent is None:
+            return
+        assert isinstance(learner, StartingLearner)
+        _, state, notices = load_latest(Path(parent.directory) / CHECKPOINTS)
+        started = learner.start_from(state["learner"], parent.replica, parent.replicas, parent.with_critic)
+        for line in (*notices, *started):
+            self.report(Notice(line))
+
     def _resume(self) -> None:
         iteration, state, notices = load_for_resume(*self.job.checkpoints)
         for line in notices:
@@ -308,11 +342,6 @@ def _open_mode(job: TrainingJob, learner: Learner, notify: Callable[[str], None]
     Raises HeadwayError if the algorithm's contributor and learner do not match.
     """
     backend, plan = job.config.backend, job.plan
-    if plan.rule is not None and not isinstance(learner, ImitatingLearner):
-        raise HeadwayError(
-            f"the entry of algo={job.config.algo.get('name')} has imitates=True, but its learner is not a "
-            "headway.contracts.ImitatingLearner; add the method imitate, or leave out start.rule"
-        )
     if job.make_contributor is None:
         collector = open_collector(backend, plan, job.workers, notify)
         return collector, SynchronousMode(learner, collector, plan.rule_iterations)

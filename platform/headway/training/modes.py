@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import AsynchronousLearner, ImitatingLearner, Learner
+from headway.contracts import AsynchronousLearner, Learner, StartingLearner
 from headway.rollout.collector import Collector, Contributors
 from headway.rollout.sampler import Episode, sort_episodes
 from headway.rollout.workers.worker import Contribute
@@ -45,7 +45,7 @@ class SynchronousMode:
     deterministic = True
 
     def __init__(self, learner: Learner, collector: Collector, rule_iterations: int = 0) -> None:
-        """In the first `rule_iterations` a rule acts, which an `ImitatingLearner` imitates."""
+        """In the first `rule_iterations` a rule acts, which an `StartingLearner` imitates."""
         self.learner, self.collector = learner, collector
         self.rule_iterations = rule_iterations
 
@@ -57,7 +57,7 @@ class SynchronousMode:
         collected = time.monotonic()
         trajectory = self.collector.trajectory
         if iteration <= self.rule_iterations:
-            assert isinstance(self.learner, ImitatingLearner)
+            assert isinstance(self.learner, StartingLearner)
             metrics = self.learner.imitate(trajectory, iteration, (iteration - 1) / self.rule_iterations)
         else:
             metrics = self.learner.update(trajectory, iteration, progress)

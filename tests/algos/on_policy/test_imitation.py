@@ -13,10 +13,10 @@ from headway.contracts import (
     Box,
     Discrete,
     EnvSpec,
-    ImitatingLearner,
     MultiDiscrete,
     Observations,
     RecurrentPolicy,
+    StartingLearner,
     Trajectory,
 )
 from headway_algos.config import ModelConfig
@@ -71,7 +71,7 @@ def test_greedy_actions_become_those_of_the_rule(
 ) -> None:
     config = configure(algorithm, **{"model": MODEL, **settings})
     learner = ENTRIES[algorithm].learner(config, spec, seeds, "cpu")
-    assert isinstance(learner, ImitatingLearner)
+    assert isinstance(learner, StartingLearner)
     policy = ENTRIES[algorithm].acting_policy(config, spec)
     hidden_size = policy.hidden_size if isinstance(policy, RecurrentPolicy) else 0
     before = learner.acting_parameters()
@@ -124,11 +124,3 @@ def test_actions_that_the_mask_forbids_teach_nothing(fabricate: Fabricate) -> No
     networks = {name for name in before if "moments" not in name}
     after = tensors(learner.state_dict()["actor"])
     assert_equal({name: after[name] for name in networks}, {name: before[name] for name in networks})
-
-
-def test_replay_buffers_are_filled_with_the_transitions_of_the_rule(fabricate: Fabricate) -> None:
-    config = configure("madqn", model=MODEL, learning_starts=10_000)
-    learner = ENTRIES["madqn"].learner(config, SPEC, (3,), "cpu")
-    assert isinstance(learner, ImitatingLearner)
-    stored = learner.imitate(_played_by_rule(fabricate, SPEC, 0, 1, 4), 1, 0.0)["memory/transitions"]
-    assert stored[0] > 100

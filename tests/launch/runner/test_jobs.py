@@ -7,9 +7,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import yaml
+from small_runs import SMALL
 
 from headway.config.experiment import BackendConfig, ExperimentConfig, RolloutConfig
 from headway.contracts import Discrete, EnvSpec, HeadwayError
+from headway.store.parquet_log import read_rows
+from headway_launch.commands.main import run
 from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
 from headway_launch.runner.cores import share_cores, uses_gpu, workers_of
@@ -240,7 +244,10 @@ def test_blocks_of_an_asynchronous_algorithm_shrink_to_the_limit_of_copies() -> 
     [
         (["env=trivial", "algo=ippo", "start.rule=optmal"], "'optmal' is not a rule of trivial .*optimal"),
         (["env=trivial", "algo=ippo", "start.rule=random"], "'random' is not a rule of trivial"),
-        (["env=tracking", "algo=a3c", "start.rule=optimal"], "a3c cannot start from a rule; .*algo=ippo"),
+        (
+            ["env=tracking", "algo=a3c", "start.rule=optimal"],
+            "a3c starts from random parameters only; .*=ippo",
+        ),
         (["env=mpe2.simple_spread_v3", "algo=ippo", "start.rule=x"], "has no rule to start from; leave it"),
         (
             ["env=visitors", "algo=ippo", "start.rule=optimal", "env.wrappers=[pad_action_space_v0]"],
@@ -275,3 +282,44 @@ def test_a_start_from_a_rule_is_a_cell_of_its_own() -> None:
     # Runs stored before the key existed are the same runs.
     before = {key: value for key, value in full_mapping(bare, (0,)).items() if key != "start"}
     assert identity(before) == identity(full_mapping(bare, (0,)))
+
+
+@pytest.fixture(scope="module")
+def parents(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Store with a stack of two runs, of seeds 0 and 1."""
+    root = tmp_path_factory.mktemp("parents")
+    words = ["run", "env=trivial", "algo=mappo", "seed=0,1", "backend.stack=2", "backend=serial", *SMALL]
+    assert run([*words, f"store.root={root}"]) == 0
+    return root
+
+
+def test_training_starts_from_the_policies_of_one_run_of_a_stack(parents: Path, tmp_path: Path) -> None:
+    """The first point of the curve is the last of the parent's, on the same episodes."""
+    [folder] = (parents / "default").glob("*-s1-*")
+    words = ["run", "env=trivial", "algo=mappo", "seed=7", f"start.run={folder.name[-12:]}", *SMALL]
+    assert run([*words, f"store.root={parents}", "study=children", "backend=serial"]) == 0
+    [child] = (parents / "children").glob("*-s7-*")
+    first, last = read_rows(child, "curve")[0], read_rows(folder, "curve")[-1]
+    assert first["evaluation_greedy/return"] == last["evaluation_greedy/return"]
+    stored = yaml.safe_load((child / "config.yaml").read_text())
+    assert stored["start"]["run"] == folder.name
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (
+            ["algo.model.hidden=[8]"],
+            r"\(bias_0 is \(1, 64, 1\) there and \(1, 8, 1\) here\); start from",
+        ),
+        (["env=visitors"], "have another shape .*same observations, actions"),
+        (["algo.policies=independent", "algo.shared_until=0.5"], "start.run takes over separate policies"),
+        (["start.rule=optimal"], "start.run excludes rule"),
+        (["start.run=s9"], "start.run: no run 's9' in .*: the nearest is "),
+        (["algo=a3c"], "a3c starts from random parameters only"),
+    ],
+)
+def test_runs_that_training_cannot_start_from_are_refused(words: list[str], line: str, parents: Path) -> None:
+    words = ["env=trivial", "algo=mappo", f"store.root={parents}", "start.run=-s1-", *words]
+    with pytest.raises(HeadwayError, match=line):
+        plan_jobs(compose(words))

@@ -75,10 +75,10 @@ def test_workers_and_other_seeds_change_nothing(whole: Log, tmp_path: Path) -> N
 
 def test_an_entry_that_promises_too_much_is_named(tmp_path: Path) -> None:
     class Unwilling:
-        """A learner without `imitate`."""
+        """A learner without the methods."""
 
         def acting_parameters(self) -> None: ...
 
     job = replace(_job(tmp_path), make_learner=lambda *arguments: Unwilling())
-    with pytest.raises(HeadwayError, match=r"has imitates=True, .* leave out start\.rule"):
+    with pytest.raises(HeadwayError, match=r"has starts=True, .* or leave out start"):
         trained(job)

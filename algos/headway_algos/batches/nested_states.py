@@ -1,0 +1,45 @@
+"""States of learners: tensors and plain values in nested dictionaries and lists."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+def map_tensors(function: Callable[..., Tensor], *states: Any) -> Any:  # noqa: ANN401 - nested plain values
+    """Return the first state with each tensor replaced by `function` of it and its counterparts.
+
+    These are the tensors at the same place of the other states. Everything else is that of the first state.
+    """
+    first = states[0]
+    if isinstance(first, Tensor):
+        return function(*states)
+    if isinstance(first, Mapping):
+        return {name: map_tensors(function, *(state[name] for state in states)) for name in first}
+    if isinstance(first, list):
+        return [map_tensors(function, *parts) for parts in zip(*states, strict=True)]
+    return first
+
+
+def replica_state(state: Any, replica: int, replicas: int, copies: int) -> Any:  # noqa: ANN401 - as above
+    """Return the state of one of `replicas` replicas, repeated for `copies` of them."""
+
+    def repeated(tensor: Tensor) -> Tensor:
+        own = torch.tensor_split(tensor, replicas)[replica]
+        return own.repeat(copies, *[1] * (own.dim() - 1))
+
+    return map_tensors(repeated, state)
+
+
+def same_shapes(one: Any, other: Any) -> bool:  # noqa: ANN401 - as above
+    """Return whether two states have the same tensors, by name and shape."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(same_shapes(one[name], other[name]) for name in one)
+    return not isinstance(one, Tensor) or (isinstance(other, Tensor) and one.shape == other.shape)
+
+
+def trained_state(state: dict[str, Any]) -> dict[str, Any]:
+    """Return the state of the learner inside a `SplitLearner`'s, or the state itself of any other."""
+    inner: dict[str, Any] = state["learner"] if "parted" in state else state
+    return inner

@@ -1,0 +1,90 @@
+"""What training starts from instead of random parameters: a rule of the environment, or another run."""
+
+from pathlib import Path
+
+from headway.config.schema import suggestion
+from headway.contracts.acting_policy import ActingPolicy
+from headway.contracts.entries import Rule
+from headway.contracts.errors import HeadwayError
+from headway.contracts.random_rule import RANDOM
+from headway.store.run_folder import RunRecord, find_run
+from headway.store.run_plan import RunPlan
+from headway.training.loop import ParentRun
+from headway_launch.experiments.compose import Experiment, PreparedEnv
+
+
+def start_rule(experiment: Experiment, environment: PreparedEnv) -> Rule | None:
+    """Return the rule `start.rule` for the training environment; None if there is none.
+
+    Raises HeadwayError if the environment has no such rule, or if it or the algorithm cannot be used.
+    """
+    name, env_id = experiment.config.start.rule, experiment.config.env.id
+    if name is None:
+        return None
+    # The draws of `random` are no part of an environment's snapshots, so that a resumed run would differ.
+    rules = {rule: entry for rule, entry in experiment.training_env.rules.items() if entry is not RANDOM}
+    if not rules:
+        raise HeadwayError(f"start.rule: {env_id} has no rule to start from; leave it out")
+    if name not in rules:
+        raise HeadwayError(
+            f"start.rule: {name!r} is not a rule of {env_id} to start from; {suggestion(name, rules)}"
+        )
+    _require_start(experiment, "start.rule")
+    try:
+        return rules[name].make(environment.training)
+    except HeadwayError as error:  # wrappers hide its inputs
+        raise HeadwayError(f"start.rule: {error}") from error
+
+
+def parent_run(experiment: Experiment, policy: ActingPolicy) -> ParentRun | None:
+    """Return the run `start.run`, whose policies must have the shapes of `policy`; None if there is none.
+
+    Raises HeadwayError if there is no such run, or if its policies or the algorithm cannot be used.
+    """
+    config = experiment.config
+    if config.start.run is None:
+        return None
+    _require_start(experiment, "start.run")
+    if getattr(experiment.algo_config, "splits", False):
+        raise HeadwayError(
+            "start.run takes over separate policies, and algo.shared_until begins with a shared one; leave "
+            "one of them out"
+        )
+    folder = find_run(Path(config.store.root), config.start.run)
+    record, plan = RunRecord.read(folder), RunPlan.read(folder)
+    _require_fitting(folder, plan, policy)
+    same = record.algorithm == experiment.algo_name
+    return ParentRun(str(folder), plan.stack.index(record.seed), len(plan.stack), with_critic=same)
+
+
+def _require_start(experiment: Experiment, key: str) -> None:
+    if not experiment.algo.starts:
+        raise HeadwayError(
+            f"{key}: {experiment.algo_name} starts from random parameters only; use another algorithm, such "
+            "as algo=ippo"
+        )
+
+
+def _require_fitting(folder: Path, plan: RunPlan, policy: ActingPolicy) -> None:
+    """Raise HeadwayError unless the policies in a run's newest checkpoint are like `policy`."""
+    from headway.store.checkpoint import load_latest
+    from headway.store.run_folder import CHECKPOINTS
+
+    if not plan.scaled_actions:
+        raise HeadwayError(
+            f"start.run: {folder.name} was trained by an earlier version, with actions in other units; train "
+            "it again"
+        )
+    _, state, _ = load_latest(folder / CHECKPOINTS)
+    seeds = len(plan.stack)
+    stored = {name: (len(a) // seeds, *a.shape[1:]) for name, a in state["acting"].items()}
+    expected = {name: shape for name, (shape, _) in policy.parameter_shapes(1).items()}
+    if stored == expected:
+        return
+    different = sorted(name for name in {*stored, *expected} if stored.get(name) != expected.get(name))
+    there, here = stored.get(different[0], "missing"), expected.get(different[0], "missing")
+    raise HeadwayError(
+        f"start.run: the policies of {folder.name} have another shape ({different[0]} is {there} there and "
+        f"{here} here); start from a run with the same observations, actions, algo.model, algo.policies and "
+        "algo.agent_id"
+    )

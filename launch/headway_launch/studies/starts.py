@@ -1,0 +1,62 @@
+"""What the runs of a cell started from, in words, with what that cost and how good it was."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+from headway.contracts.errors import HeadwayError
+from headway.store.atomic_files import read_json
+from headway.store.parquet_log import read_rows
+from headway.store.run_folder import RunRecord, find_run, read_summary, rules_file
+from headway_launch.studies.runs import configuration
+
+
+def start_line(name: str, root: Path, directories: Sequence[Path], metric: str) -> str | None:
+    """Return a sentence on what a cell's runs started from; None if from random parameters.
+
+    `name` is the cell's name, `root` the store and `directories` the runs' folders. Of a policy that imitated
+    a rule, `metric`, such as `evaluation_greedy/return`, is given beside that of the rule.
+    """
+    config = configuration(str(directories[0]))
+    start = config.get("start") or {}
+    if start.get("rule"):
+        return f"{name} {_from_rule(config, root, directories, metric)}"
+    return f"{name} {_from_run(root, start['run'])}" if start.get("run") else None
+
+
+def _from_rule(config: Mapping[str, Any], root: Path, directories: Sequence[Path], metric: str) -> str:
+    rule, rollout = config["start"]["rule"], config["rollout"]
+    iteration_steps = rollout["copies"] * rollout["steps"]
+    iterations = -(-config["start"]["env_steps"] // iteration_steps)
+    steps = f"{iterations * iteration_steps:,} steps"
+    line = f"started from rule {rule}, which acted in the first {steps} of each run"
+    imitated = [
+        float(row[metric])
+        for directory in directories
+        for row in read_rows(directory, "curve")
+        if row["iteration"] == iterations and row.get(metric) is not None
+    ]
+    if not imitated:
+        return line
+    group, _, column = metric.partition("/")
+    mode = group.removeprefix("evaluation_")
+    line = f"{line}; the policy that imitated it then had a {mode} {column} of {fmean(imitated):.4g}"
+    record, count = RunRecord.read(directories[0]), int(config["evaluation"]["episodes"])
+    path = rules_file(root, record.study, record.cell)
+    played = read_json(path).get(rule, [])[:count] if path.exists() else []
+    values = [float(episode[column]) for episode in played if column in episode]
+    return f"{line}, the rule of {fmean(values):.4g} on the same episodes" if values else line
+
+
+def _from_run(root: Path, parent: str) -> str:
+    line = f"started from run {parent}"
+    try:
+        folder = find_run(root, parent)
+        record, summary = RunRecord.read(folder), read_summary(folder)
+    except HeadwayError:
+        return f"{line}, which is no longer in the store"
+    units = {"env_steps": "steps", "cpu_seconds": "CPU s", "kwh": "kWh"}
+    costs = [f"{summary[key]:,.4g} {unit}" for key, unit in units.items() if summary.get(key)]
+    cost = f", whose {', '.join(costs)} are not in these results" if costs else ""
+    return f"{line} ({record.algorithm} on {record.environment}){cost}"

@@ -1,0 +1,62 @@
+"""Sentences on what runs started from, in `headway compare` and in reports."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from small_runs import SMALL
+
+from headway.store.parquet_log import read_rows
+from headway_launch.commands.main import run
+from headway_launch.studies.starts import start_line
+
+GREEDY = "evaluation_greedy/return"
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Store with two runs that started from a rule, and one that started from the first of them."""
+    root = tmp_path_factory.mktemp("starts")
+    words = ["run", "env=trivial", "algo=ippo", "backend=serial", *SMALL, f"store.root={root}"]
+    assert run([*words, "seed=0,1", "start.rule=optimal", "start.env_steps=64", "env_steps=192"]) == 0
+    assert run([*words, "seed=2", "start.run=-s0-", "study=children"]) == 0
+    return root
+
+
+def test_the_imitated_policy_is_given_beside_its_rule(root: Path) -> None:
+    folders = sorted((root / "default").glob("*-s*-*"))
+    line = start_line("ippo", root, folders, GREEDY)
+    points = [
+        row[GREEDY] for folder in folders for row in read_rows(folder, "curve") if row["env_steps"] == 64
+    ]
+    assert len(points) == 2
+    # The optimal rule of `trivial` returns its 200 steps.
+    assert line == (
+        "ippo started from rule optimal, which acted in the first 64 steps of each run; the policy that "
+        f"imitated it then had a greedy return of {sum(points) / 2:.4g}, the rule of 200 on the same episodes"
+    )
+
+
+def test_the_parent_is_named_with_its_cost(
+    root: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    [parent] = (root / "default").glob("*-s0-*")
+    seconds = json.loads((parent / "summary.json").read_text())["cpu_seconds"]
+    words = (
+        f"ippo started from run {parent.name} (ippo on trivial), whose 192 steps, {seconds:.4g} CPU s are not"
+    )
+    assert run(["compare", "children", "--store", str(root), "--episodes", "2"]) == 0
+    out, err = capsys.readouterr()
+    assert words in out + err
+    assert run(["report", "children", "--store", str(root), "--out", str(tmp_path)]) == 0
+    assert words in re.sub(r"\s+", " ", (tmp_path / "report.html").read_text())
+
+
+def test_a_parent_that_was_deleted_is_no_error(root: Path, tmp_path: Path) -> None:
+    shutil.copytree(root / "children", tmp_path / "children")
+    [child] = (tmp_path / "children").glob("*-s2-*")
+    line = start_line("ippo", tmp_path, [child], GREEDY)
+    assert line is not None
+    assert line.endswith("which is no longer in the store")
