@@ -108,6 +108,15 @@ def run(arguments: Sequence[str]) -> int:
             raise
         print_line(f"headway: {exit_of_environment(error)} (--debug shows where)")
         return 2
+    except MemoryError as error:
+        if debug:
+            raise
+        found = f" ({text})" if (text := " ".join(str(error).split())) else ""
+        print_line(
+            f"headway: this needs more memory than is free{found}; lower sizes, such as rollout.copies, "
+            "backend.stack or the environment's own"
+        )
+        return 2
     except Exception as error:
         if isinstance(error, BrokenPipeError) and _only_prints(words):  # `headway runs | head`
             silence(sys.stdout)

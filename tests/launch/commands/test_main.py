@@ -2,11 +2,13 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
 
+import numpy as np
 import pytest
 from command_lines import Refused, RowsOf
 
@@ -216,3 +218,19 @@ def test_metrics_and_rules_are_listed_of_what_a_file_configures_too(what: str, r
     own, configured = (rows_of("list", what, name) for name in ("intersection", "intersection_paper"))
     assert len(own) > 5
     assert [row[1:] for row in own] == [row[1:] for row in configured]
+
+
+@pytest.mark.parametrize(
+    ("allocate", "text"),
+    [
+        (lambda arguments: [None] * 2**62, "memory than is free; lower"),
+        (lambda arguments: np.empty(2**59), "memory than is free (Unable to allocate 4.00 EiB"),
+    ],
+)
+def test_a_lack_of_memory_is_one_line_that_says_what_to_lower(
+    allocate: Callable[[object], object], text: str, refused: Refused, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("headway_launch.commands.runs.execute", allocate)
+    line = refused("runs")
+    assert text in line
+    assert "rollout.copies" in line
