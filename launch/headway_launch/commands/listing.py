@@ -1,6 +1,7 @@
 """`headway list`: list names of environments, algorithms and so on, and their keys."""
 
 import argparse
+import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
@@ -39,6 +40,8 @@ examples:
   headway list searches        names for `headway search NAME`
   headway list keys            all keys of an experiment
   headway list keys lr         those with `lr` in their name
+  headway list schema > headway.schema.json    JSON Schema of experiments' files, for editors
+  headway list schema preset                   or of files in configs/preset, configs/env, configs/search
 """
 
 
@@ -200,6 +203,15 @@ def _list_keys(word: str | None) -> None:
     print_table(("key", "type", "default", "of", "description"), rows, whole=("key",), spare=("type",))
 
 
+def _list_schema(kind: str | None) -> None:
+    from headway_launch.experiments.file_schema import FILE_KINDS, file_schema
+
+    chosen = kind or "experiment"
+    if chosen not in FILE_KINDS:
+        raise HeadwayError(f"there is no schema of {chosen!r}; {suggestion(chosen, FILE_KINDS)}")
+    print(json.dumps(file_schema(chosen), indent=1, allow_nan=False))
+
+
 def _list_group(group: str) -> Callable[[str | None], None]:
     def show(name: str | None) -> None:
         names = options()[group]
@@ -233,4 +245,5 @@ _KINDS: Mapping[str, Callable[[str | None], None]] = {
     "presets": _list_group("preset"),
     "searches": _list_group("search"),
     "keys": _list_keys,
+    "schema": _list_schema,
 }
