@@ -47,18 +47,18 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add KIND and NAME."""
-    parser.add_argument("kind", metavar="KIND", help=", ".join(_KINDS))
+    parser.add_argument("kind", metavar="KIND", help=", ".join(KINDS))
     parser.add_argument("name", metavar="NAME", nargs="?", help="show this one in full")
     add_config_dir_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Print the list, or one item in full."""
-    if arguments.kind not in _KINDS:
+    if arguments.kind not in KINDS:
         raise HeadwayError(
-            f"{arguments.kind!r} cannot be listed; {suggestion(arguments.kind, _KINDS, 'headway list ')}"
+            f"{arguments.kind!r} cannot be listed; {suggestion(arguments.kind, KINDS, 'headway list ')}"
         )
-    _KINDS[arguments.kind](arguments.name)
+    KINDS[arguments.kind](arguments.name)
     return 0
 
 
@@ -235,7 +235,7 @@ _COMMON_METRICS = {
     "return": "sum of rewards over the episode, mean over agents",
 }
 """Metrics of every environment."""
-_KINDS: Mapping[str, Callable[[str | None], None]] = {
+KINDS: Mapping[str, Callable[[str | None], None]] = {
     "envs": _list_envs,
     "algos": _list_algos,
     "wrappers": _list_wrappers,
