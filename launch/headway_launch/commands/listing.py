@@ -151,7 +151,7 @@ def metrics_of(name: str) -> Mapping[str, str]:
     """
     own = _registered_id(name)
     metrics = {} if own is None else env_entry(own).metrics
-    return {**_COMMON_METRICS, **metrics} if metrics else {}
+    return {**COMMON_METRICS, **metrics} if metrics else {}
 
 
 def _names(name: str | None) -> list[str]:
@@ -230,7 +230,7 @@ def _print_descriptions(keys: Iterable[FieldDescription]) -> None:
     print_table(("key", "type", "default", "description"), rows, whole=("key",))
 
 
-_COMMON_METRICS = {
+COMMON_METRICS = {
     "length": "steps per episode",
     "return": "sum of rewards over the episode, mean over agents",
 }
