@@ -29,7 +29,7 @@ examples:
 
 `headway.api.load_policy` reads .npz, which needs numpy only, and .onnx. Before it is written, the file is
 compared with what rollout workers compute; a difference is an error. docs/howto/policies.md explains its
-contents.
+contents. For the logs of a study see `headway convert`.
 """
 _COPIES, _STEPS, _RANDOM_ROWS = 4, 100, 256
 

@@ -1,6 +1,7 @@
 """`headway list`: list names of environments, algorithms and so on, and their keys."""
 
 import argparse
+import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
@@ -39,23 +40,25 @@ examples:
   headway list searches        names for `headway search NAME`
   headway list keys            all keys of an experiment
   headway list keys lr         those with `lr` in their name
+  headway list schema > headway.schema.json    JSON Schema of experiments' files, for editors
+  headway list schema preset                   or of files in configs/preset, configs/env, configs/search
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add KIND and NAME."""
-    parser.add_argument("kind", metavar="KIND", help=", ".join(_KINDS))
+    parser.add_argument("kind", metavar="KIND", help=", ".join(KINDS))
     parser.add_argument("name", metavar="NAME", nargs="?", help="show this one in full")
     add_config_dir_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Print the list, or one item in full."""
-    if arguments.kind not in _KINDS:
+    if arguments.kind not in KINDS:
         raise HeadwayError(
-            f"{arguments.kind!r} cannot be listed; {suggestion(arguments.kind, _KINDS, 'headway list ')}"
+            f"{arguments.kind!r} cannot be listed; {suggestion(arguments.kind, KINDS, 'headway list ')}"
         )
-    _KINDS[arguments.kind](arguments.name)
+    KINDS[arguments.kind](arguments.name)
     return 0
 
 
@@ -148,7 +151,7 @@ def metrics_of(name: str) -> Mapping[str, str]:
     """
     own = _registered_id(name)
     metrics = {} if own is None else env_entry(own).metrics
-    return {**_COMMON_METRICS, **metrics} if metrics else {}
+    return {**COMMON_METRICS, **metrics} if metrics else {}
 
 
 def _names(name: str | None) -> list[str]:
@@ -200,6 +203,15 @@ def _list_keys(word: str | None) -> None:
     print_table(("key", "type", "default", "of", "description"), rows, whole=("key",), spare=("type",))
 
 
+def _list_schema(kind: str | None) -> None:
+    from headway_launch.experiments.file_schema import FILE_KINDS, file_schema
+
+    chosen = kind or "experiment"
+    if chosen not in FILE_KINDS:
+        raise HeadwayError(f"there is no schema of {chosen!r}; {suggestion(chosen, FILE_KINDS)}")
+    print(json.dumps(file_schema(chosen), indent=1, allow_nan=False))
+
+
 def _list_group(group: str) -> Callable[[str | None], None]:
     def show(name: str | None) -> None:
         names = options()[group]
@@ -218,12 +230,12 @@ def _print_descriptions(keys: Iterable[FieldDescription]) -> None:
     print_table(("key", "type", "default", "description"), rows, whole=("key",))
 
 
-_COMMON_METRICS = {
+COMMON_METRICS = {
     "length": "steps per episode",
     "return": "sum of rewards over the episode, mean over agents",
 }
 """Metrics of every environment."""
-_KINDS: Mapping[str, Callable[[str | None], None]] = {
+KINDS: Mapping[str, Callable[[str | None], None]] = {
     "envs": _list_envs,
     "algos": _list_algos,
     "wrappers": _list_wrappers,
@@ -233,4 +245,5 @@ _KINDS: Mapping[str, Callable[[str | None], None]] = {
     "presets": _list_group("preset"),
     "searches": _list_group("search"),
     "keys": _list_keys,
+    "schema": _list_schema,
 }

@@ -1,6 +1,7 @@
 """The `headway` command. Heavy modules are imported only by the commands that use them."""
 
 import argparse
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -52,6 +53,7 @@ COMMANDS = {
     "export": Command("write a trained policy as npz, ONNX or TorchScript file", "export"),
     "compare": Command("compare a study's cells and the rules on the same episodes", "compare"),
     "plot": Command("plot a study's learning curves", "plot"),
+    "convert": Command("write a study's logs as CSV or for TensorBoard or Weights & Biases", "convert"),
     "render": Command("render an episode of a policy or a rule as GIF or PNG", "render"),
     "report": Command("write a study's report: one page with tables and plots", "report"),
     "browse": Command("browse studies, reports and runs in a web browser", "browse"),
@@ -82,6 +84,8 @@ class _Parser(argparse.ArgumentParser):
 
 def main() -> None:
     """Entry point of the `headway` script: run the command line and exit with its code."""
+    if "_ARGCOMPLETE" in os.environ:  # set by the function that completes words in a shell
+        _complete(os.environ["COMP_LINE"].split())
     sys.exit(run(sys.argv[1:]))
 
 
@@ -129,6 +133,30 @@ def run(arguments: Sequence[str]) -> int:
             silence(sys.stdout)
         print_line(f"headway: unexpected {type(error).__name__}: {text} (--debug shows where)")
         return 2
+
+
+def _complete(words: Sequence[str]) -> None:
+    """Print the completions of the last word and exit."""
+    from headway_launch.commands.completion import CompletionParser, complete
+
+    parser = CompletionParser("headway")
+    parser.add_argument("--version", action="store_true", help="show the version")
+    _add_commands(parser, COMMANDS, words)
+    complete(parser)
+
+
+def _add_commands(
+    parser: argparse.ArgumentParser, commands: Mapping[str, Command], words: Sequence[str]
+) -> None:
+    """Add the commands of a group as subparsers, with the arguments of those among `words`."""
+    subparsers = parser.add_subparsers()
+    for name, command in commands.items():
+        of_command = subparsers.add_parser(name, help=command.summary)
+        of_command.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        if name in words and command.parts:
+            _add_commands(of_command, command.parts, words)
+        elif name in words:
+            _module_of(command).add_arguments(of_command)
 
 
 def _only_prints(words: Sequence[str]) -> bool:

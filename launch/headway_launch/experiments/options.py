@@ -1,7 +1,7 @@
 """Options of each group of an experiment: files of `configs`, and registered names, which need no file."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import dropwhile, takewhile
@@ -88,6 +88,13 @@ def options() -> dict[str, tuple[str, ...]]:
     return {group: tuple(sorted(names[group])) for group in sorted(names)}
 
 
+def option_names(group: str) -> tuple[str, ...]:
+    """Return the options of one group as `options` does, without loading what other groups register."""
+    own = own_folder()
+    found = [_files(folder).get(group, set()) for folder in (configs_folder(), own) if folder]
+    return tuple(sorted({*_REGISTERED.get(group, dict)()}.union(*found)))
+
+
 def store_registered() -> None:
     """Make the registered names known to Hydra. A file of the same name takes precedence."""
     from hydra.core.config_store import ConfigStore
@@ -112,9 +119,12 @@ def summary_of(group: str, option: str) -> str:
 
 def _registered() -> Mapping[str, Mapping[str, Mapping[str, Any]]]:
     """Return the keys that each option without a file sets, by group and option."""
-    return {
-        "env": {name: {"id": name} for name in env_entries()},
-        "algo": {name: {"name": name} for name in algo_entries()},
-        "backend": {name: {"name": name} for name in literal_choices(BackendConfig)["name"]},
-        "energy": {"codecarbon": {"enabled": True}, "off": {"enabled": False}},
-    }
+    return {group: found() for group, found in _REGISTERED.items()}
+
+
+_REGISTERED: Mapping[str, Callable[[], Mapping[str, Mapping[str, Any]]]] = {
+    "env": lambda: {name: {"id": name} for name in env_entries()},
+    "algo": lambda: {name: {"name": name} for name in algo_entries()},
+    "backend": lambda: {name: {"name": name} for name in literal_choices(BackendConfig)["name"]},
+    "energy": lambda: {"codecarbon": {"enabled": True}, "off": {"enabled": False}},
+}

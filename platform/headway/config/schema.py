@@ -93,7 +93,7 @@ def build(
     for name, field in fields.items():
         if name not in mapping and field.default is MISSING and field.default_factory is MISSING:
             raise HeadwayError(f"{_join(path, name)} is missing and has no default; give it a value")
-    hints, docs = get_type_hints(record_class), _field_docs(checked)
+    hints, docs = get_type_hints(record_class), field_docs(checked)
     for key, value in mapping.items():
         _check_single_choice(hints[key], value, _join(path, key), of, docs.get(key, ""))
     values = {key: _convert(hints[key], value, _join(path, key)) for key, value in mapping.items()}
@@ -174,7 +174,7 @@ class FieldDescription:
 def describe(record_class: type, path: str = "") -> tuple[FieldDescription, ...]:
     """Return a description of every key of a record class, in order, nested records included."""
     hints = get_type_hints(record_class)
-    docs = _field_docs(record_class)
+    docs = field_docs(record_class)
     described: list[FieldDescription] = []
     for field in dataclasses.fields(_as_dataclass(record_class)):
         key, hint = _join(path, field.name), hints[field.name]
@@ -352,7 +352,7 @@ def _default_text(field: "dataclasses.Field[Any]") -> str:
 
 
 @cache
-def _field_docs(record_class: type) -> Mapping[str, str]:
+def field_docs(record_class: type) -> Mapping[str, str]:
     """Return the string literal under each annotated field of a class and its bases, on one line each.
 
     Fields of classes made at run time have it as `doc` in their metadata.

@@ -1,0 +1,211 @@
+"""`headway convert`: write a study's logs as CSV files or for TensorBoard or Weights & Biases."""
+
+import argparse
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import datetime
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from headway.contracts.errors import HeadwayError
+from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
+from headway_launch.console.output_files import write_error
+from headway_launch.console.progress_display import CountedProgress
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from headway.store.index import RunRow
+    from headway.store.query import RunSelection
+
+EXAMPLES = """\
+examples:
+  headway convert bus --to csv
+  headway convert bus --to tensorboard && tensorboard --logdir tensorboard-bus
+  headway convert bus --to wandb && wandb sync wandb-bus/wandb/offline-run-*
+  headway convert bus --to csv --where 'algorithm="mappo"' --output lab/mappo
+
+Reads the logs of the newest finished run of each cell and seed; nothing is sent anywhere. csv: one file per
+table, and columns.csv with the meaning and unit of each column; tensorboard: a folder of event files per run;
+wandb: an offline run per run, in the project STUDY. In both, the steps are environment steps.
+"""
+_MEANINGS = {
+    "iteration": "number of the iteration",
+    "env_steps": "environment steps of the seed by the end of the iteration",
+    "wall_s": "time since the start of the run, s",
+    "copy": "number of the environment copy that played the episode",
+    "mode": "how the policy acted: greedy or sampled",
+    "final": "1 in the last evaluation, 0 in others",
+    "episode_seed": "seed of the episode, by which episodes of policies and rules are paired",
+    "time": "seconds since 1970, s",
+    "time/collect_s": "duration of the iteration's rollouts, s",
+    "time/learn_s": "duration of the iteration's update, s",
+    "started": "UTC, ISO 8601",
+    "duration_s": "wall time over all sessions, s",
+    "steps_per_second": "environment steps per second of wall time, 1/s",
+    "cpu_seconds": "CPU time, s",
+    "final_reward": "mean return of the evaluations in the last 20% of the steps",
+    "auc": "area under the run's curve, normalised by its own range",
+    "kwh": "energy, kWh",
+    "cpu_kwh": "energy of the CPU, kWh",
+    "gpu_kwh": "energy of the GPU, kWh",
+    "ram_kwh": "energy of the memory, kWh",
+    "kg_co2": "CO2 equivalent of the energy, kg",
+}
+"""Meanings of columns that all environments have, with their units."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the study, the target and the folder."""
+    parser.add_argument("study", metavar="STUDY", help="name of the study, as in `headway runs`")
+    parser.add_argument("--to", choices=_WRITERS, required=True, help="what to write")
+    parser.add_argument("--output", metavar="DIR", help="new folder to write (default: TO-STUDY)")
+    add_where_argument(parser)
+    add_store_argument(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Write the logs and print the folder."""
+    from headway.store.query import RunSelection
+    from headway_launch.studies.runs import finished_runs
+
+    root = existing_store(arguments.store)
+    output = Path(arguments.output or f"{arguments.to}-{arguments.study}")
+    runs = RunSelection(root, tuple(finished_runs(root, arguments.study, arguments.where)))
+    with _new_folder(output) as folder:
+        _WRITERS[arguments.to](runs, folder)
+    print(output)
+    return 0
+
+
+@contextmanager
+def _new_folder(output: Path) -> Iterator[Path]:
+    """Yield a temporary folder that becomes `output` at the end.
+
+    Raises HeadwayError if `output` is in use or cannot be written.
+    """
+    if output.exists() and not (output.is_dir() and not any(output.iterdir())):
+        raise HeadwayError(f"--output: {output} exists; remove it or name a new folder")
+    try:
+        with tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}.") as beside:
+            folder = Path(beside, "new")
+            folder.mkdir()
+            yield folder
+            folder.rename(output)
+    except OSError as error:
+        raise write_error("--output", output, error) from error
+
+
+def _write_csv(runs: "RunSelection", folder: Path) -> None:
+    import pandas as pd
+
+    tables: Mapping[str, Callable[[], pd.DataFrame]] = {
+        "runs": runs.summaries,
+        "curves": runs.curves,
+        "episodes": runs.episodes,
+        "evaluations": runs.evaluations,
+        "rules": runs.rules,
+        "energy": runs.energy,
+    }
+    meanings, columns = _metric_meanings(runs), []
+    with CountedProgress("tables written", len(tables)) as progress:
+        for name, read in tables.items():
+            if len(table := read()):
+                table.to_csv(folder / f"{name}.csv", index=False)
+                columns += [(name, column, _meaning(column, meanings)) for column in table.columns]
+            progress.add()
+    listed = pd.DataFrame(columns, columns=["table", "column", "meaning"])
+    listed.to_csv(folder / "columns.csv", index=False)
+
+
+def _write_tensorboard(runs: "RunSelection", folder: Path) -> None:
+    # One event per iteration: `tensorboard.summary.Writer` writes one per value, in nine times the time.
+    files = _optional("tensorboard.summary.writer.event_file_writer")
+    events = _optional("tensorboard.compat.proto.event_pb2")
+    summaries = _optional("tensorboard.compat.proto.summary_pb2")
+    meanings = _metric_meanings(runs)
+    for row, curve in _curves(runs):
+        started, described = datetime.fromisoformat(row.started).timestamp(), set[str]()
+        writer = files.EventFileWriter(str(folder / row.run_id))
+        for step, wall_s, metrics in _points(curve):
+            summary = summaries.Summary()
+            for name, value in metrics.items():
+                added = summary.value.add(tag=name, simple_value=value)
+                if name not in described:
+                    added.metadata.summary_description = _meaning(name, meanings)
+                    described.add(name)
+            writer.add_event(events.Event(wall_time=started + wall_s, step=step, summary=summary))
+        writer.close()
+
+
+def _write_wandb(runs: "RunSelection", folder: Path) -> None:
+    from headway.store.run_folder import read_summary
+    from headway_launch.studies.runs import configuration
+
+    os.environ["WANDB_ERROR_REPORTING"] = "false"  # nothing is sent anywhere
+    wandb = _optional("wandb")
+    quiet = {"silent": True, "console": "off", "disable_git": True, "save_code": False}
+    settings = wandb.Settings(mode="offline", x_disable_meta=True, x_disable_stats=True, **quiet)
+    for row, curve in _curves(runs):
+        identity = {"project": row.study, "id": row.run_id, "name": row.run_id, "group": row.cell}
+        config = dict(configuration(row.directory))
+        with wandb.init(**identity, config=config, dir=str(folder), settings=settings) as run:
+            run.define_metric("*", step_metric="env_steps")
+            for step, wall_s, metrics in _points(curve):
+                run.log({"env_steps": step, "wall_s": wall_s, **metrics})
+            run.summary.update(read_summary(Path(row.directory)))
+
+
+_WRITERS: Mapping[str, Callable[["RunSelection", Path], None]] = {
+    "csv": _write_csv,
+    "tensorboard": _write_tensorboard,
+    "wandb": _write_wandb,
+}
+"""(runs, new folder) -> None, by the value of --to."""
+
+
+def _optional(module: str) -> Any:  # noqa: ANN401 - a module
+    """Return a module of the extra with its package's name. Raises HeadwayError if it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        extra = module.partition(".")[0]
+        line = f'--to {extra} needs the package {extra}; install it with pip install "headway[{extra}]"'
+        raise HeadwayError(line) from error
+
+
+def _curves(runs: "RunSelection") -> Iterator[tuple["RunRow", "pd.DataFrame"]]:
+    """Yield each run with its curve, and show progress."""
+    with CountedProgress("runs converted", len(runs.rows)) as progress:
+        for row in runs.rows:
+            yield row, replace(runs, rows=(row,)).curves()
+            progress.add()
+
+
+def _points(curve: "pd.DataFrame") -> Iterator[tuple[int, float, dict[str, float]]]:
+    """Yield the environment steps, the seconds since the start and the metrics of each iteration."""
+    names = [name for name in curve.columns if "/" in name]
+    for point in curve.to_dict("records"):
+        metrics = {name: float(point[name]) for name in names if point[name] == point[name]}  # no NaN
+        yield int(point["env_steps"]), float(point.get("wall_s", 0.0)), metrics
+
+
+def _metric_meanings(runs: "RunSelection") -> dict[str, str]:
+    """Return the meaning of each episode metric of the runs' environments."""
+    from headway.registry import env_entries
+    from headway_launch.commands.listing import COMMON_METRICS
+
+    meanings = dict(COMMON_METRICS)
+    for name in sorted({row.environment for row in runs.rows} & set(env_entries())):
+        meanings |= env_entries()[name].metrics
+    return meanings
+
+
+def _meaning(column: str, metrics: Mapping[str, str]) -> str:
+    group, _, name = column.rpartition("/")
+    of_episodes = not group or group == "training" or group.startswith("evaluation_")
+    return _MEANINGS.get(column) or (metrics.get(name, "") if of_episodes else "")

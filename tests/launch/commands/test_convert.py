@@ -1,0 +1,125 @@
+"""`headway convert`: a study's logs in other forms, held to the log itself."""
+
+import math
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from command_lines import Refused
+
+from headway.store.atomic_files import write_json, write_text
+from headway.store.parquet_log import RunLog
+from headway.store.run_folder import Process, RunRecord, create_run_folder
+from headway_launch.commands.main import run
+
+STARTED = "2026-01-02T03:04:05+00:00"
+CURVE = [
+    {"iteration": 0, "env_steps": 0, "wall_s": 0.5, "evaluation_greedy/return": 1.25},
+    {"iteration": 1, "env_steps": 64, "wall_s": 2.0, "training/return": -3.5, "policy/entropy": 0.75},
+    {
+        "iteration": 2,
+        "env_steps": 128,
+        "wall_s": 3.5,
+        "training/return": 4.5,
+        "evaluation_greedy/return": 2.5,
+    },
+]
+EPISODE = {"iteration": 1, "env_steps": 64, "copy": 0, "mean_wait_min": 7.0}
+
+
+@pytest.fixture(autouse=True)
+def runs(empty_folder: Path) -> list[str]:
+    """Names of two runs of a study, in a store in the working directory."""
+    names = []
+    for seed in range(2):
+        run_id, folder = create_run_folder(Path("runs"), "lines", "cell", seed)
+        record = RunRecord(run_id, "lines", "bus", "ippo", seed, 2, STARTED, Process.current(), "FINISHED")
+        record.write(folder)
+        write_json(folder / "summary.json", {"final_reward": 2.5, "kwh": 0.125})
+        write_text(folder / "config.yaml", "algo: {name: ippo, lr: 0.001}")
+        log = RunLog(folder)
+        log.append("curve", CURVE)
+        log.append("episodes", [EPISODE])
+        log.commit(2)
+        names.append(run_id)
+    return names
+
+
+def test_csv_has_a_file_per_table_with_the_unit_of_each_column(
+    runs: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["convert", "lines", "--to", "csv"]) == 0
+    assert capsys.readouterr().out == "csv-lines\n"
+    tables = {file.stem: pd.read_csv(file) for file in Path("csv-lines").iterdir()}
+    assert set(tables) == {"runs", "curves", "episodes", "columns"}
+    curves = tables["curves"]
+    assert curves["run_id"].tolist() == [name for name in runs for _ in CURVE]
+    for row, point in zip(curves.to_dict("records"), CURVE * 2, strict=True):
+        shown = {name: row[name] for name in row if name in CURVE[0] | CURVE[1]}
+        assert {name: value for name, value in shown.items() if not math.isnan(value)} == point
+    assert tables["runs"]["kwh"].tolist() == [0.125, 0.125]
+    meanings = tables["columns"].fillna("").set_index(["table", "column"])["meaning"]
+    assert {(name, column) for name in tables if name != "columns" for column in tables[name]} == {
+        *meanings.index
+    }
+    assert meanings["episodes", "mean_wait_min"].endswith(", minutes")
+    assert meanings["curves", "evaluation_greedy/return"].startswith("sum of rewards over the episode")
+    assert meanings["curves", "wall_s"].endswith(", s")
+    assert meanings["runs", "kwh"].endswith(", kWh")
+
+
+def test_tensorboard_reads_every_point_of_every_run(runs: list[str]) -> None:
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.plugin_event_accumulator import EventAccumulator
+    from tensorboard.util.tensor_util import make_ndarray
+
+    assert run(["convert", "lines", "--to", "tensorboard", "--output", "events"]) == 0
+    assert sorted(folder.name for folder in Path("events").iterdir()) == sorted(runs)
+    for name in runs:
+        events = EventAccumulator(f"events/{name}").Reload()
+        shown = {
+            (tag, event.step, event.wall_time, float(make_ndarray(event.tensor_proto)))
+            for tag in events.Tags()["tensors"]
+            for event in events.Tensors(tag)
+        }
+        started = pd.Timestamp(STARTED).timestamp()
+        assert shown == {
+            (tag, point["env_steps"], started + point["wall_s"], value)
+            for point in CURVE
+            for tag, value in point.items()
+            if "/" in tag
+        }
+        described = events.SummaryMetadata("evaluation_greedy/return").summary_description
+        assert described.startswith("sum of rewards over the episode")
+
+
+def test_wandb_writes_offline_runs(runs: list[str]) -> None:
+    pytest.importorskip("wandb")
+    assert run(["convert", "lines", "--to", "wandb"]) == 0
+    [*files] = Path("wandb-lines", "wandb").glob("offline-run-*/*.wandb")
+    assert sorted(file.stem.removeprefix("run-") for file in files) == sorted(runs)
+    for file in files:
+        content = file.read_bytes()
+        for word in (b"lines", b"evaluation_greedy/return", b"1.25", b"-3.5", b"final_reward", b"0.001"):
+            assert word in content
+
+
+@pytest.mark.parametrize("to", ["tensorboard", "wandb"])
+def test_a_missing_package_is_named(to: str, refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (to, f"{to}.summary.writer.event_file_writer"):
+        monkeypatch.setitem(sys.modules, module, None)
+    needed = f'the package {to}; install it with pip install "headway[{to}]"\n'
+    assert refused("convert", "lines", "--to", to) == f"headway: --to {to} needs {needed}"
+    assert not Path(f"{to}-lines").exists()
+
+
+def test_nothing_is_overwritten_and_nothing_is_left_of_what_fails(refused: Refused) -> None:
+    Path("csv-lines").mkdir()
+    Path("csv-lines", "notes.txt").write_text("mine")
+    assert "csv-lines exists; remove it or name a new folder" in refused("convert", "lines", "--to", "csv")
+    assert "there is no folder no" in refused("convert", "lines", "--to", "csv", "--output", "no/such")
+    assert "invalid choice" in refused("convert", "lines", "--to", "cvs")
+    assert "did you mean lines?" in refused("convert", "linse", "--to", "csv")
+    assert [file.name for file in Path("csv-lines").iterdir()] == ["notes.txt"]
+    assert sorted(file.name for file in Path.cwd().iterdir()) == ["csv-lines", "runs"]
