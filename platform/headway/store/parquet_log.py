@@ -95,20 +95,17 @@ def read(
     """Return the committed rows of a table from segments newer than iteration `after`.
 
     They are sorted by `iteration` (if that column exists), then in the order written; without rows the frame
-    is empty. `columns`: columns to read, if they exist; None: all. Columns are float64, int64 (float64 if
-    some rows lack the column) or string, and may differ between segments. Raises HeadwayError if a segment
-    cannot be read, if a column is text in one and numbers in another, and if a curve's `env_steps` do not
-    increase.
+    is empty. `columns`: columns to read, if they exist; None: all. Columns are float64 or int64 (float64 if
+    some rows lack the column), `mode` is text; they may differ between segments. Raises HeadwayError if a
+    segment cannot be read or has columns of other types, and if a curve's `env_steps` do not increase.
     """
     import pandas as pd
+    import pyarrow as pa
 
     tables = _tables(directory, table, after, columns)
     if not tables:
         return pd.DataFrame()
-    try:
-        frame: pd.DataFrame = _concatenated(tables).to_pandas()
-    except ValueError as error:
-        raise HeadwayError(f"{directory}, table {table}: {error}; remove the damaged segment") from error
+    frame: pd.DataFrame = pa.concat_tables(tables, promote_options="permissive").to_pandas()
     if "iteration" in frame.columns:
         frame = frame.sort_values("iteration", kind="stable", ignore_index=True)
     if table == "curve" and "env_steps" in frame.columns:
@@ -165,7 +162,17 @@ def _tables(
                 raise HeadwayError(f"{path}, column {column} is of a wrong type: remove it to use the rest")
             if column in tables[-1].column_names and tables[-1].column(column).null_count:
                 raise HeadwayError(f"{path} lacks values of {column}: remove it to use the rest")
+        for column in tables[-1].schema:
+            if column.name != "mode" and not _is_number(column.type):
+                kind = f"of type {column.type}, not of numbers"
+                raise HeadwayError(f"{path}, column {column.name} is {kind}: remove it to use the rest")
     return tables
+
+
+def _is_number(kind: "pa.DataType") -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
 
 
 def _require_increasing(env_steps: Iterable[Any], directory: Path) -> None:
