@@ -1,4 +1,4 @@
-# Headway with SUMO, Ray and ONNX. docs/howto/docker.md says how to build and run it.
+# Headway with SUMO, Ray, ONNX and its pages. docs/howto/docker.md says how to build and run it.
 FROM python:3.12-slim
 
 # The libraries that SUMO's wheel expects of the system.
@@ -20,7 +20,7 @@ RUN python -m venv venv && mkdir runs
 ARG PIP_ARGS=""
 COPY --chown=headway . checkout
 # hadolint ignore=SC2086
-RUN pip install --no-cache-dir $PIP_ARGS -c checkout/constraints.txt "./checkout[sumo,ray,export]" \
+RUN pip install --no-cache-dir $PIP_ARGS -c checkout/constraints.txt "./checkout[sumo,browse,ray,export]" \
     && python -m headway_launch.runner.warm_up
 
 VOLUME /home/headway/runs

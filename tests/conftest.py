@@ -73,7 +73,7 @@ def _warm_workers() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def _kept_scenarios() -> Iterator[None]:
-    """Generate each bus scenario once: that takes half a second, and many tests prepare the default one."""
+    """Generate each bus scenario once: a district takes seconds."""
     generate = lru_cache(maxsize=8)(synthetic.generate)
 
     def generate_once(size: str, seed: int, after_line: Callable[[], None] = lambda: None) -> Tables:

@@ -1,17 +1,19 @@
-"""Registry entries of the off-policy algorithms. Importing them imports no torch."""
+"""Registry entries of the off-policy algorithms. Importing them imports neither torch nor numba."""
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Lazy
-from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
-from headway_algos.acting.mlp import MLPActingPolicy
 from headway_algos.agent_id import agent_ids, impossible_ids
 from headway_algos.grouping import Grouping
 from headway_algos.recipes import KERNELS
 from headway_algos.replay_config import DDPGConfig, ReplayConfig
 from headway_algos.replay_recipe import ReplayRecipe
+
+if TYPE_CHECKING:
+    from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy
 
 LEARNER = Lazy("headway_algos.off_policy.learner:OffPolicyLearner")
 
@@ -46,13 +48,19 @@ def _refuses_all_but_bounded(config: ReplayConfig, spec: EnvSpec) -> str | None:
     return impossible_ids(config, spec)
 
 
-def _epsilon_greedy(config: ReplayConfig, spec: EnvSpec) -> EpsilonGreedyPolicy:
+def _epsilon_greedy(config: ReplayConfig, spec: EnvSpec) -> "EpsilonGreedyPolicy":
+    from headway_algos.acting.exploration import EpsilonGreedyPolicy
+    from headway_algos.acting.mlp import MLPActingPolicy
+
     if (line := _refuses_all_but_discrete(config, spec)) is not None:
         raise HeadwayError(line)
     return EpsilonGreedyPolicy(MLPActingPolicy.of(config, spec))
 
 
-def _ornstein_uhlenbeck(config: DDPGConfig, spec: EnvSpec) -> OrnsteinUhlenbeckPolicy:
+def _ornstein_uhlenbeck(config: DDPGConfig, spec: EnvSpec) -> "OrnsteinUhlenbeckPolicy":
+    from headway_algos.acting.exploration import OrnsteinUhlenbeckPolicy
+    from headway_algos.acting.mlp import MLPActingPolicy
+
     if (line := _refuses_all_but_bounded(config, spec)) is not None:
         raise HeadwayError(line)
     return OrnsteinUhlenbeckPolicy(MLPActingPolicy.of(config, spec), config.ou_theta, config.ou_sigma)

@@ -1,12 +1,11 @@
-"""Registry of algorithms by name. Importing it imports no torch."""
+"""Registry of algorithms by name. Importing it imports neither torch nor numba."""
 
 from dataclasses import fields
 from functools import partial
 from typing import Any
 
-from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec
+from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, Lazy
 from headway_algos import records
-from headway_algos.acting.policy import acting_policy
 from headway_algos.agent_id import impossible_ids
 from headway_algos.config import AlgoConfig, SimultaneousConfig
 from headway_algos.off_policy_entry import replay_entry
@@ -91,7 +90,7 @@ def entry(recipe: Recipe) -> AlgoEntry:
         recipe.summary,
         recipe.source,
         record,
-        acting_policy,
+        Lazy("headway_algos.acting.policy:acting_policy"),
         recipe.learner,
         _refuses,
         refuses_budget=_refuses_budget,

@@ -21,7 +21,7 @@ class BusParallelEnv(ParallelEnvBase):
         if isinstance(config, Prepared):
             prepared = config
         else:
-            # Workers pass a Prepared: they must not import pandas, as `prepare` does.
+            # Workers pass a Prepared: they must not import pandas, as `prepare` may do.
             from headway_envs.bus.prepare import prepare
 
             prepared = prepare(config or BusConfig())

@@ -1,6 +1,6 @@
 """Preparation of a bus environment: the scenario is read or generated and its network built.
 
-It runs once, in the parent process, and imports pandas.
+It runs once, in the parent process. The scenarios `line` and `corridor` need no pandas, the others do.
 """
 
 from collections.abc import Mapping
@@ -9,8 +9,9 @@ from typing import Any
 
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepared import Prepared
-from headway_envs.bus.scenario.network import build
+from headway_envs.bus.scenario.network import build, build_from_arrays
 from headway_envs.bus.scenario.source import scenario_tables
+from headway_envs.bus.scenario.synthetic import FLEETS, META, generate_lines
 from headway_envs.bus.scenario.tables import Tables
 
 _NEVER = 1e9
@@ -28,9 +29,13 @@ REPLAY_FIXED: Mapping[str, float] = {
 
 def prepare(config: BusConfig) -> Prepared:
     """Read or generate the scenario and build its network. Raises HeadwayError for an unusable scenario."""
-    tables = scenario_tables(config.scenario, config.scenario_seed)
-    network, lines = build(tables, config)
-    return Prepared(config, network, lines, source_of(tables.meta))
+    if config.scenario in FLEETS:
+        arrays, meta = generate_lines(config.scenario, config.scenario_seed), META
+    else:
+        tables = scenario_tables(config.scenario, config.scenario_seed)
+        arrays, meta = tables.arrays(), tables.meta
+    network, lines = build_from_arrays(arrays, meta, config)
+    return Prepared(config, network, lines, source_of(meta))
 
 
 def prepare_variant(config: BusConfig, other: Prepared) -> Prepared:

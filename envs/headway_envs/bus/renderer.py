@@ -72,10 +72,11 @@ def geography(tables: "Tables", prepared: Prepared) -> Geography:
     from headway_envs.bus.scenario.measures import metres_along
     from headway_envs.bus.scenario.network import calls_of, pattern_rows
 
-    patterns = pattern_rows(tables, prepared.config)
-    calls = calls_of(tables, patterns)
+    arrays = tables.arrays()
+    patterns = pattern_rows(arrays, prepared.config)
+    calls = calls_of(arrays, patterns)
     along = metres_along(tables).reindex(list(zip(calls["pattern"], calls["seq0"], strict=True)))
-    lat, lon = (calls[name].to_numpy(np.float64) for name in ("lat", "lon"))
+    lat, lon = calls["lat"], calls["lon"]
     directions = tables.patterns.set_index("pattern")["dir"].astype(str).reindex(patterns)
     across = math.cos(math.radians(float(lat.mean()))) * METRES_PER_DEGREE
     places = np.column_stack((lon * across, lat * METRES_PER_DEGREE))

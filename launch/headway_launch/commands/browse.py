@@ -4,6 +4,7 @@ import argparse
 import socket
 import time
 from contextlib import closing
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from threading import Thread
 
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
+    _require_mlflow()
     root = existing_store(arguments.store).resolve()
     with closing(_listen(arguments.port)) as listener:
         has_views = _update_database(root)
@@ -64,6 +66,16 @@ def execute(arguments: argparse.Namespace) -> int:
                 time.sleep(0.2)
             server.shutdown()
     return 0
+
+
+def _require_mlflow() -> None:
+    """Raise HeadwayError if MLflow's UI is not installed: the light MLflow that the store needs lacks it."""
+    try:
+        version("mlflow")
+    except PackageNotFoundError:
+        raise HeadwayError(
+            'headway browse needs the whole of MLflow, which is an extra: pip install "headway[browse]"'
+        ) from None
 
 
 def _listen(port: int) -> socket.socket:

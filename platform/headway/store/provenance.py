@@ -19,7 +19,7 @@ _PACKAGES = (
     "gymnasium",
     "pettingzoo",
     "supersuit",
-    "mlflow",
+    "mlflow-skinny",
     "codecarbon",
     "libsumo",
     "highway-env",

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import SimpleNamespace
 from urllib.parse import quote
@@ -14,6 +15,7 @@ from mlflow_server import free_port
 
 from headway.store.run_folder import now
 from headway.store.tracking.client import Tracker, database_path
+from headway_launch.commands import browse
 from headway_launch.commands.browse import _listen
 
 API = "/mlflow/ajax-api/2.0/mlflow"
@@ -218,3 +220,15 @@ def test_errors_are_one_line(tmp_path: Path, refused: Refused) -> None:
         listener.close()
     assert f"port {port} cannot be used" in line
     assert not database_path(tmp_path).exists()
+
+
+def test_without_the_whole_of_mlflow_one_line_says_how_to_install_it(
+    refused: Refused, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def light(package: str) -> str:
+        if package == "mlflow":
+            raise PackageNotFoundError(package)
+        return version(package)
+
+    monkeypatch.setattr(browse, "version", light)
+    assert refused("browse").strip().endswith('pip install "headway[browse]"')

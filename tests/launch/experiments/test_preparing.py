@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-import headway_envs.bus.scenario.synthetic as synthetic
 from headway.wrappers.wrapped_env import Wrapped
+from headway_envs.bus import prepare as preparation
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepare import prepare
 from headway_envs.bus.prepared import Prepared
-from headway_envs.bus.scenario.tables import Tables
+from headway_envs.bus.scenario.synthetic import generate_lines
+from headway_envs.bus.scenario.tables import Columns
 from headway_launch.experiments.compose import compose
 from headway_launch.runner.jobs import PlannedJob, plan_jobs
 
@@ -23,13 +24,13 @@ WRAPPERS = "env.wrappers=[{name: clip_reward_v0, lower_bound: -1, upper_bound: 1
 @pytest.fixture
 def generated(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
     """Calls (scenario, seed) of the scenario generator."""
-    generate, calls = synthetic.generate, []
+    calls = []
 
-    def counted(scenario: str, seed: int) -> Tables:
+    def counted(scenario: str, seed: int) -> dict[str, Columns]:
         calls.append((scenario, seed))
-        return generate(scenario, seed)
+        return generate_lines(scenario, seed)
 
-    monkeypatch.setattr(synthetic, "generate", counted)
+    monkeypatch.setattr(preparation, "generate_lines", counted)
     return calls
 
 

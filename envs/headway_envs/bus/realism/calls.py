@@ -131,7 +131,7 @@ def _timetable_date(tables: Tables, day_type: str) -> str:
 def _trace_calls(tables: Tables, prepared: Prepared) -> pd.DataFrame:
     """Return line, dir, pattern, trip, seq0, calls, stop and visit of every entry of the trace."""
     network = prepared.network
-    patterns = np.array(pattern_rows(tables, prepared.config))
+    patterns = np.array(pattern_rows(tables.arrays(), prepared.config))
     stops = tables.pattern_stops.sort_values(["pattern", "seq0"]).groupby("pattern")["stop"].apply(list)
     names = tables.patterns.set_index("pattern")
     counts = np.diff(network.pattern_calls)[network.trip_pattern]

@@ -110,7 +110,7 @@ def compare_replay(
 
 def line_count(tables: Tables, config: BusConfig) -> int:
     """Return the number of lines with trips on the configured day type."""
-    patterns = trips_of_day(tables, config)["pattern"]
+    patterns = trips_of_day(tables.arrays(), config)["pattern"]
     return int(tables.patterns.set_index("pattern")["line"].reindex(patterns).nunique())
 
 
@@ -125,18 +125,18 @@ def observed_trips(tables: Tables, config: BusConfig) -> pd.DataFrame:
     Trips that arrive after the end of the service day are left out, because a simulated day stops there, and
     so are trips that arrive when they leave.
     """
-    trips = trips_of_day(tables, config)
+    trips = trips_of_day(tables.arrays(), config)
     names = tables.patterns.set_index("pattern").reindex(trips["pattern"])
     stops = tables.pattern_stops.sort_values(["pattern", "seq0"]).groupby("pattern")["stop"]
     frame = pd.DataFrame(
         {
             "line": names["line"].astype(str).to_numpy(),
             "dir": names["dir"].astype(str).to_numpy(),
-            "pattern": trips["pattern"].to_numpy(),
+            "pattern": trips["pattern"],
             "begin": stops.first().reindex(trips["pattern"]).to_numpy(),
             "end": stops.last().reindex(trips["pattern"]).to_numpy(),
-            "dep": trips["dep_s"].to_numpy(np.float64),
-            "arr": trips["arr_s"].to_numpy(np.float64),
+            "dep": trips["dep_s"].astype(np.float64),
+            "arr": trips["arr_s"].astype(np.float64),
             "km": call_km(tables).groupby("pattern").last().reindex(trips["pattern"]).to_numpy(),
         }
     )

@@ -1,10 +1,14 @@
 """Measures used in several places: distances, hours of travel times, loads of links."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from headway_envs.bus.scenario.tables import PERIOD_HOURS, Tables
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = NDArray[np.float64]
 
@@ -25,6 +29,8 @@ def distance_m(lat: Floats, lon: Floats, lat2: Floats, lon2: Floats) -> Floats:
 
 def metres_along(tables: Tables) -> "pd.Series[float]":
     """Return each call's distance along the links from the first call, m, indexed by pattern and seq0."""
+    import pandas as pd
+
     calls = tables.pattern_stops.sort_values(["pattern", "seq0"])
     metres = tables.links.set_index("link")["leg_m"].astype(np.float64).reindex(calls["link"])
     legs = pd.Series(metres.to_numpy(), index=pd.MultiIndex.from_frame(calls[["pattern", "seq0"]]))
@@ -32,11 +38,13 @@ def metres_along(tables: Tables) -> "pd.Series[float]":
     return legs.groupby("pattern").cumsum()
 
 
-def link_loads(tables: Tables, day: str) -> pd.DataFrame:
+def link_loads(tables: Tables, day: str) -> "pd.DataFrame":
     """Return one row per call (pattern, seq0, stop, link) with `load`, passengers per day on the link.
 
     Boardings and alightings follow the tables, as if no bus were ever full.
     """
+    import pandas as pd
+
     demand = tables.demand[tables.demand["daytype"] == day]
     period = np.searchsorted(PERIOD_HOURS, demand["hour"], side="right")
     boards = demand.assign(period=period).groupby(["pattern", "seq0", "period"])["board"].sum()

@@ -1,19 +1,18 @@
 """Network of the bus environment, built from a scenario's tables."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOT_HOURS, KNOT_S, KNOTS, Network
 from headway_envs.bus.scenario.measures import distance_m
-from headway_envs.bus.scenario.tables import PERIOD_HOURS, Tables
+from headway_envs.bus.scenario.tables import PERIOD_HOURS, Columns, Tables
 from headway_envs.bus.scenario.timetable import (
     Departures,
     Trip,
@@ -29,6 +28,8 @@ Integers = NDArray[np.int64]
 _MAX_SD = 0.8
 """Upper bound applied to the sd of the log of link times. Hours with few observations have values up to 1.5,
 which are taken for faults."""
+_MAX_CALLS = 1001
+"""Largest number of calls of a pattern."""
 
 
 def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Network, tuple[str, ...]]:
@@ -38,24 +39,30 @@ def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Netw
 
     Raises HeadwayError if the day type has no trips, demand or travel times.
     """
+    return build_from_arrays(tables.arrays(), tables.meta, config, replay)
+
+
+def build_from_arrays(
+    tables: Mapping[str, Columns], meta: Mapping[str, Any], config: BusConfig, replay: bool = False
+) -> tuple[Network, tuple[str, ...]]:
+    """Return what `build` returns for the same tables as arrays (`Tables.arrays`) and their metadata."""
     day = config.day_type
     trips = trips_of_day(tables, config)
     lines = _patterns_by_line(tables, trips)
     patterns = [pattern for group in lines.values() for pattern in group]
     calls = calls_of(tables, patterns)
-    call_counts = calls.groupby("p").size().to_numpy(np.int64)
-    pattern_calls = _offsets(call_counts)
+    pattern_calls = _offsets(np.bincount(calls["p"]))
     spread = observed_departures if replay else smooth_departures
     departures = [
-        spread(np.asarray(trips.loc[trips["pattern"] == p, "dep_s"], np.float64), KNOT_S) for p in patterns
+        spread(np.asarray(trips["dep_s"][trips["pattern"] == p], np.float64), KNOT_S) for p in patterns
     ]
     boarding = _hourly_boarding(tables, calls, day)
     alighting = _alighting(tables, calls)
     link_s, link_sd = _link_times(tables, calls, day)
     per_call, dwell = _mean_dwell(boarding, alighting, departures, pattern_calls, config)
-    running, nominal = _running(link_s, dwell, pattern_calls, tables)
+    running, nominal = _running(link_s, dwell, pattern_calls, meta)
     line_patterns = _offsets(np.array([len(group) for group in lines.values()]))
-    deadhead = _deadheads(tables, calls, pattern_calls, line_patterns)
+    deadhead = _deadheads(calls, pattern_calls, line_patterns)
     timetable = _timetable(departures, nominal, pattern_calls, line_patterns, deadhead, config)
     rates, regular = _rates(boarding, departures, nominal, pattern_calls, line_patterns, config)
     others = (1 - config.captive_share) * config.arrivals_per_boarding
@@ -80,7 +87,7 @@ def build(tables: Tables, config: BusConfig, replay: bool = False) -> tuple[Netw
         boarding_rate=rates,
         regular_waiting=regular,
         target=np.array([d.headway for d in departures]),
-        detour=_detours(tables, calls, config),
+        detour=_detours(meta, calls, config),
         queue_first=_queue_offsets(rates, per_call, config),
     )
     # Always the same memory layout: for another one, numba would compile the kernel again.
@@ -92,23 +99,37 @@ def _offsets(counts: NDArray[Any]) -> Integers:
     return np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
 
 
-def trips_of_day(tables: Tables, config: BusConfig) -> pd.DataFrame:
+def _select(table: Columns, rows: NDArray[Any]) -> Columns:
+    """Return the rows of a table, given by number or by truth value."""
+    return {name: values[rows] for name, values in table.items()}
+
+
+def _rows_of(keys: NDArray[Any], wanted: NDArray[Any]) -> Integers:
+    """Return the place in `keys` of each wanted key; -1 if it is not there."""
+    if not len(keys):
+        return np.full(len(wanted), -1)
+    order = np.argsort(keys, kind="stable")
+    found = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return np.where(keys[found] == wanted, found, -1)
+
+
+def trips_of_day(tables: Mapping[str, Columns], config: BusConfig) -> Columns:
     """Return the trips that leave within the configured service day.
 
     Raises HeadwayError if there are none.
     """
-    trips = tables.trips[tables.trips["daytype"] == config.day_type]
+    trips = tables["trips"]
     begin, end = config.start_hour * 3600.0, config.end_hour * 3600.0
-    trips = trips[(trips["dep_s"] >= begin) & (trips["dep_s"] < end)]
-    if trips.empty:
+    leaves = (trips["dep_s"] >= begin) & (trips["dep_s"] < end) & (trips["daytype"] == config.day_type)
+    if not leaves.any():
         raise HeadwayError(
             f"table trips has no trip of day_type {config.day_type} that leaves between {config.start_hour} "
             f"and {config.end_hour} h: choose another day_type or other hours"
         )
-    return trips
+    return _select(trips, leaves)
 
 
-def pattern_rows(tables: Tables, config: BusConfig) -> list[int]:
+def pattern_rows(tables: Mapping[str, Columns], config: BusConfig) -> list[int]:
     """Return the number in the tables of each of the network's patterns.
 
     Raises HeadwayError if no trip leaves within the service day.
@@ -117,87 +138,98 @@ def pattern_rows(tables: Tables, config: BusConfig) -> list[int]:
     return [pattern for group in lines.values() for pattern in group]
 
 
-def _patterns_by_line(tables: Tables, trips: pd.DataFrame) -> dict[str, list[int]]:
+def _patterns_by_line(tables: Mapping[str, Columns], trips: Columns) -> dict[str, list[int]]:
     """Return the patterns with trips, by line, in the network's order."""
-    running = tables.patterns[tables.patterns["pattern"].isin(trips["pattern"])]
+    running = _select(tables["patterns"], np.isin(tables["patterns"]["pattern"], trips["pattern"]))
     lines: dict[str, list[int]] = {}
-    for line, group in running.sort_values(["line", "dir", "pattern"]).groupby("line", sort=False):
-        lines[str(line)] = [int(p) for p in group["pattern"]]
+    columns = (running[name].tolist() for name in ("line", "dir", "pattern"))
+    for line, _, pattern in sorted(zip(*columns, strict=True)):
+        lines.setdefault(str(line), []).append(int(pattern))
     return lines
 
 
-def calls_of(tables: Tables, patterns: Sequence[int]) -> pd.DataFrame:
+def calls_of(tables: Mapping[str, Columns], patterns: Sequence[int]) -> Columns:
     """Return one row per call (Q), pattern by pattern in the given order.
 
     Columns: p (index of the pattern), pattern, seq0, stop, link, lat, lon.
     """
-    place = pd.Series(range(len(patterns)), index=list(patterns))
-    calls = tables.pattern_stops[tables.pattern_stops["pattern"].isin(patterns)].copy()
-    calls["p"] = place.reindex(calls["pattern"]).to_numpy()
-    calls = calls.sort_values(["p", "seq0"]).merge(
-        tables.stops[["stop", "lat", "lon"]], on="stop", how="left"
+    calls, stops = tables["pattern_stops"], tables["stops"]
+    p = _rows_of(np.array(patterns), calls["pattern"])
+    order = np.lexsort((calls["seq0"], p))
+    order = order[p[order] >= 0]
+    place = _rows_of(stops["stop"], calls["stop"][order])
+    coordinates = {name: stops[name][place].astype(np.float64) for name in ("lat", "lon")}
+    return {"p": p[order], **_select(calls, order), **coordinates}
+
+
+def _rows_of_calls(calls: Columns, table: Columns) -> tuple[Columns, Integers]:
+    """Return the rows of `table` whose (pattern, seq0) is a call, and the index of that call."""
+    keys, wanted = (
+        each["pattern"].astype(np.int64) * _MAX_CALLS + each["seq0"].astype(np.int64)
+        for each in (calls, table)
     )
-    return calls.reset_index(drop=True)
+    index = _rows_of(keys, wanted)
+    return _select(table, index >= 0), index[index >= 0]
 
 
-def _call_index(calls: pd.DataFrame) -> pd.Series:
-    """Return the index of each call, by pattern and seq0."""
-    keys = pd.MultiIndex.from_frame(calls[["pattern", "seq0"]].astype(np.int64))
-    return pd.Series(np.arange(len(calls)), index=keys)
-
-
-def _rows_of_calls(calls: pd.DataFrame, frame: pd.DataFrame) -> tuple[pd.DataFrame, Integers]:
-    """Return the rows of `frame` whose (pattern, seq0) is a call, and the index of that call."""
-    keys = pd.MultiIndex.from_frame(frame[["pattern", "seq0"]].astype(np.int64))
-    index = _call_index(calls).reindex(keys).to_numpy()
-    known = ~np.isnan(index)
-    return frame[known], index[known].astype(np.int64)
-
-
-def _hourly_boarding(tables: Tables, calls: pd.DataFrame, day: str) -> Floats:
+def _hourly_boarding(tables: Mapping[str, Columns], calls: Columns, day: str) -> Floats:
     """Return the number of passengers who board per hour (Q, K)."""
-    frame, index = _rows_of_calls(calls, tables.demand[tables.demand["daytype"] == day])
-    if frame.empty:
+    demand = tables["demand"]
+    rows, index = _rows_of_calls(calls, _select(demand, demand["daytype"] == day))
+    if not len(index):
         raise HeadwayError(f"table demand has no rows of day_type {day}: add them or choose another day_type")
-    boarding = np.zeros((len(calls), KNOTS))
-    hour = frame["hour"].to_numpy(np.int64) - FIRST_KNOT_HOUR
+    boarding = np.zeros((len(calls["p"]), KNOTS))
+    hour = rows["hour"].astype(np.int64) - FIRST_KNOT_HOUR
     inside = (hour >= 0) & (hour < KNOTS)
-    np.add.at(boarding, (index[inside], hour[inside]), frame["board"].to_numpy(float)[inside])
+    np.add.at(boarding, (index[inside], hour[inside]), rows["board"].astype(np.float64)[inside])
     return boarding
 
 
-def _alighting(tables: Tables, calls: pd.DataFrame) -> Floats:
+def _alighting(tables: Mapping[str, Columns], calls: Columns) -> Floats:
     """Return the alighting shares (Q, 4): 0 at the first call of a pattern, 1 at the last."""
-    frame, index = _rows_of_calls(calls, tables.alighting)
-    alighting = np.zeros((len(calls), 4))
-    alighting[index, frame["period"].to_numpy(np.int64)] = frame["p_alight"].to_numpy(float)
-    alighting[calls["seq0"].to_numpy() == 0] = 0.0
-    last = calls["p"].to_numpy() != np.append(calls["p"].to_numpy()[1:], -1)
-    alighting[last] = 1.0
+    rows, index = _rows_of_calls(calls, tables["alighting"])
+    alighting = np.zeros((len(calls["p"]), 4))
+    alighting[index, rows["period"].astype(np.int64)] = rows["p_alight"]
+    alighting[calls["seq0"] == 0] = 0.0
+    alighting[calls["p"] != np.append(calls["p"][1:], -1)] = 1.0
     return alighting
 
 
-def _link_times(tables: Tables, calls: pd.DataFrame, day: str) -> tuple[Floats, Floats]:
-    """Return mean time (Q, K), s, and sd of its log (Q,) of the link that leads away from each call."""
-    frame = tables.link_times[tables.link_times["daytype"] == day]
-    away = np.append(calls["link"].to_numpy(np.int64)[1:], -1)
-    inner = np.append(calls["seq0"].to_numpy()[1:] > 0, False)
-    mean = frame.pivot_table(index="link", columns="hour", values="mean_s")
-    first, last = int(KNOT_HOURS[0]), int(KNOT_HOURS[-1])
-    mean = mean.reindex(columns=range(first, last + 1)).dropna(how="all")
-    missing = inner & ~np.isin(away, mean.index)
+def _link_times(tables: Mapping[str, Columns], calls: Columns, day: str) -> tuple[Floats, Floats]:
+    """Return mean time (Q, K), s, and sd of its log (Q,) of the link that leads away from each call.
+
+    Hours without a time take that of the hour before, and the first ones that of the first hour with one.
+    """
+    times = _select(tables["link_times"], tables["link_times"]["daytype"] == day)
+    links, row = np.unique(times["link"].astype(np.int64), return_inverse=True)
+    knot = times["hour"].astype(np.int64) - FIRST_KNOT_HOUR
+    inside = (knot >= 0) & (knot < KNOTS)
+    mean = np.full((len(links), KNOTS), np.nan)
+    mean[row[inside], knot[inside]] = times["mean_s"][inside]
+    known = ~np.isnan(mean)
+    away = np.append(calls["link"].astype(np.int64)[1:], -1)
+    inner = np.append(calls["seq0"][1:] > 0, False)
+    missing = inner & ~np.isin(away, links[known.any(axis=1)])
     if missing.any():
         raise HeadwayError(
             f"table link_times has no row of link {away[missing][0]} on day_type {day} for an hour from "
-            f"{first} to {last}: add its mean_s"
+            f"{KNOT_HOURS[0]} to {KNOT_HOURS[-1]}: add its mean_s"
         )
-    mean = mean.ffill(axis=1).bfill(axis=1)
-    deviation = frame.groupby("link")["log_sigma"].median()
-    seconds = np.zeros((len(calls), KNOTS))
-    log_sd = np.zeros(len(calls))
-    seconds[inner] = mean.reindex(away[inner]).to_numpy(float)
-    log_sd[inner] = deviation.reindex(away[inner]).to_numpy(float)
+    latest = np.maximum.accumulate(np.where(known, np.arange(KNOTS), -1), axis=1)
+    mean = np.take_along_axis(mean, np.where(latest < 0, known.argmax(axis=1)[:, None], latest), axis=1)
+    seconds = np.zeros((len(away), KNOTS))
+    log_sd = np.zeros(len(away))
+    link = _rows_of(links, away[inner])
+    seconds[inner] = mean[link]
+    log_sd[inner] = _medians(times["log_sigma"].astype(np.float64), row)[link]
     return seconds, log_sd
+
+
+def _medians(values: Floats, group: Integers) -> Floats:
+    """Return the median of the values of each group; groups are numbered from 0."""
+    ordered, counts = values[np.lexsort((values, group))], np.bincount(group)
+    first = _offsets(counts)[:-1]
+    return np.asarray(0.5 * (ordered[first + (counts - 1) // 2] + ordered[first + counts // 2]), np.float64)
 
 
 def _remaining_sd(link_sd: Floats, config: BusConfig) -> Floats:
@@ -244,12 +276,14 @@ def _mean_dwell(
     return per_call, dwell
 
 
-def _running(link_s: Floats, dwell: Floats, pattern_calls: Integers, tables: Tables) -> tuple[Floats, Floats]:
+def _running(
+    link_s: Floats, dwell: Floats, pattern_calls: Integers, meta: Mapping[str, Any]
+) -> tuple[Floats, Floats]:
     """Return the running time to the next call (Q, K), and the nominal time since the first call (Q, K), s.
 
     If link times include the dwell at their start, it is subtracted, but at most half of the link time.
     """
-    if tables.meta.get("link_times_include_dwell", True):
+    if meta.get("link_times_include_dwell", True):
         running = np.maximum(link_s - dwell, 0.5 * link_s)
     else:
         running = link_s
@@ -264,14 +298,12 @@ def _running(link_s: Floats, dwell: Floats, pattern_calls: Integers, tables: Tab
     return running, nominal
 
 
-def _deadheads(
-    tables: Tables, calls: pd.DataFrame, pattern_calls: Integers, line_patterns: Integers
-) -> list[Floats]:
+def _deadheads(calls: Columns, pattern_calls: Integers, line_patterns: Integers) -> list[Floats]:
     """Return, per line, the times (patterns, patterns) from the end of each pattern to the start of each, s.
 
     Buses drive 1.3 times the straight-line distance at 20 km/h; 0 within 300 m.
     """
-    lat, lon = calls["lat"].to_numpy(float), calls["lon"].to_numpy(float)
+    lat, lon = calls["lat"], calls["lon"]
     ways = []
     for begin, end in pairwise(line_patterns):
         start, stop = pattern_calls[begin:end], pattern_calls[begin + 1 : end + 1] - 1
@@ -355,16 +387,16 @@ def _rates(
     return rates, regular
 
 
-def _detours(tables: Tables, calls: pd.DataFrame, config: BusConfig) -> Floats:
+def _detours(meta: Mapping[str, Any], calls: Columns, config: BusConfig) -> Floats:
     """Return the driving time to the nearest service centre (Q,), s.
 
     Without centres in the metadata, the first stop of every twentieth pattern, and of at least one, has a
     centre.
     """
-    lat, lon = calls["lat"].to_numpy(float), calls["lon"].to_numpy(float)
-    centres = tables.meta.get("service_centres")
+    lat, lon = calls["lat"], calls["lon"]
+    centres = meta.get("service_centres")
     if centres is None:
-        firsts = np.flatnonzero(calls["seq0"].to_numpy() == 0)
+        firsts = np.flatnonzero(calls["seq0"] == 0)
         centres = [[lat[i], lon[i]] for i in firsts[::20]]
     try:
         places = np.array(centres, dtype=np.float64).reshape(-1, 2)

@@ -1,9 +1,9 @@
 """Synthetic passengers for scenarios without passenger data, from their trips and fitted parameters."""
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from headway.contracts import generator
@@ -14,10 +14,13 @@ from headway_envs.bus.scenario.fitted import (
     BOARDING_TENTHS,
     HOUR_SHARES,
 )
+from headway_envs.bus.scenario.tables import Columns, stack
 from headway_envs.bus.scenario.timetable import smooth_departures
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 Floats = NDArray[np.float64]
-Columns = dict[str, NDArray[np.generic]]
 
 FIRST_SHARE_HOUR = 5
 """Hour of the first of HOUR_SHARES. Earlier hours take the first share, later ones the last."""
@@ -50,14 +53,16 @@ def alighting_shares(boarding: Floats, alighting: Floats) -> Floats:
 
 
 def synthetic_passengers(
-    calls: pd.DataFrame, trips: pd.DataFrame, per_trip: Mapping[str, Mapping[int, float]], seed: int
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+    calls: "pd.DataFrame", trips: "pd.DataFrame", per_trip: Mapping[str, Mapping[int, float]], seed: int
+) -> tuple["pd.DataFrame", "pd.DataFrame"]:
     """Return the tables demand and alighting for the given rows of pattern_stops and trips.
 
     Each stop has one random weight for boardings and one for alightings, the same on all patterns that call
     there, within the tenth of each pattern. `per_trip`: mean boardings per trip, by day type and pattern. At
     each stop they are divided among the hours in which buses serve it, by the fitted shares.
     """
+    import pandas as pd
+
     places, which = np.unique(calls["stop"].to_numpy(), return_inverse=True)
     draws = generator(seed, "bus stops", 0)
     boarding_weights = draws.lognormal(0.0, ATTRACTIVENESS_SD, len(places))[which]
@@ -79,7 +84,7 @@ def synthetic_passengers(
                 rows = _boardings(pattern, day, boarding, trips_by_pattern[day, pattern], means[pattern])
                 demand.append(rows)
                 days += [day] * len(rows["board"])
-    return _stack(demand).assign(daytype=days), _stack(alighting)
+    return pd.DataFrame(stack(demand)).assign(daytype=days), pd.DataFrame(stack(alighting))
 
 
 def _by_period(pattern: int, alight: Floats) -> Columns:
@@ -93,7 +98,7 @@ def _by_period(pattern: int, alight: Floats) -> Columns:
     }
 
 
-def _boardings(pattern: int, day: str, boarding: Floats, trips: pd.DataFrame, mean: float) -> Columns:
+def _boardings(pattern: int, day: str, boarding: Floats, trips: "pd.DataFrame", mean: float) -> Columns:
     """Return the rows of the table demand of one pattern and day type."""
     departures = trips["dep_s"].to_numpy(np.float64)
     hours, served = service_by_hour(len(boarding), trips)
@@ -111,7 +116,7 @@ def _boardings(pattern: int, day: str, boarding: Floats, trips: pd.DataFrame, me
     }
 
 
-def service_by_hour(count: int, trips: pd.DataFrame) -> tuple[NDArray[np.int64], Floats]:
+def service_by_hour(count: int, trips: "pd.DataFrame") -> tuple[NDArray[np.int64], Floats]:
     """Return hours (H,) and, per stop and hour, the share (count, H) of the passengers for whom a bus comes.
 
     Passengers arrive from one headway before the first bus to the last bus, as in `network.build`. Those of
@@ -138,7 +143,3 @@ def _arrived_share(time: Floats, hours: NDArray[np.int64]) -> Floats:
     """Return the share of each hour's passengers who have arrived by a time, s."""
     since = np.clip(time / 3600.0 - hours - 0.5, -1.0, 1.0)
     return np.asarray(0.5 + since - 0.5 * since * np.abs(since), np.float64)
-
-
-def _stack(parts: Sequence[Columns]) -> pd.DataFrame:
-    return pd.DataFrame({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})

@@ -1,11 +1,10 @@
 """Synthetic scenarios of a few lines that share no stop, generated from a seed and fitted parameters."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from headway.contracts import generator
@@ -24,10 +23,10 @@ from headway_envs.bus.scenario.fitted import (
     SYNTHETIC,
 )
 from headway_envs.bus.scenario.link_times import fitted_link_times
-from headway_envs.bus.scenario.measures import METRES_PER_DEGREE
-from headway_envs.bus.scenario.network import build
+from headway_envs.bus.scenario.measures import METRES_PER_DEGREE, TIMED_HOURS
+from headway_envs.bus.scenario.network import build_from_arrays
 from headway_envs.bus.scenario.passengers import alighting_shares, spread_by_tenth
-from headway_envs.bus.scenario.tables import NO_LINK, Tables
+from headway_envs.bus.scenario.tables import NO_LINK, Columns, Tables, stack
 
 FLEETS = {"line": (14,), "corridor": (20, 16, 14, 12, 11, 10, 9, 8, 6, 4)}
 """Number of buses in service at once on each line at the weekday peak, by size of the scenario."""
@@ -35,7 +34,6 @@ _STOPS = {"line": (30, 45), "corridor": (15, 60)}
 """Assumption: smallest and largest number of stops of a pattern, as on frequent lines. Patterns outside are
 drawn again."""
 _HOURS = np.arange(5, 24)
-_TABLES = ("stops", "patterns", "pattern_stops", "links", "link_times", "demand", "alighting", "trips")
 Floats = NDArray[np.float64]
 
 
@@ -49,14 +47,20 @@ def generate(size: str, seed: int, after_line: Callable[[], None] = lambda: None
         from headway_envs.bus.scenario.town import generate_town
 
         return generate_town(size, seed, after_line)
-    parts = []
+    import pandas as pd
+
+    lines = generate_lines(size, seed, after_line)
+    frames = {name: pd.DataFrame(columns) for name, columns in lines.items()}
+    return Tables(**frames, meta={**META, "size": size, "seed": seed})
+
+
+def generate_lines(size: str, seed: int, after_line: Callable[[], None] = lambda: None) -> dict[str, Columns]:
+    """Return the tables of `line` or `corridor` as arrays, as `generate` does as data frames."""
+    lines = []
     for number, buses in enumerate(FLEETS[size]):
-        parts.append(_line(size, seed, number, buses))
+        lines.append(_line(size, seed, number, buses))
         after_line()
-    frames: dict[str, Any] = {
-        name: pd.concat([p[name] for p in parts], ignore_index=True) for name in _TABLES
-    }
-    return Tables(**frames, meta={**_META, "size": size, "seed": seed})
+    return _stack_tables(lines)
 
 
 def line_count(size: str) -> int:
@@ -68,13 +72,17 @@ def line_count(size: str) -> int:
     return LINES[size]
 
 
-_META: dict[str, Any] = {
+META: dict[str, Any] = {
     "source": f"{SYNTHETIC}, by numbers fitted to {SOURCE}",
     "link_times_include_dwell": True,
 }
 
 
-def _line(size: str, seed: int, number: int, buses: int) -> dict[str, pd.DataFrame]:
+def _stack_tables(parts: Sequence[dict[str, Columns]]) -> dict[str, Columns]:
+    return {name: stack([part[name] for part in parts]) for name in parts[0]}
+
+
+def _line(size: str, seed: int, number: int, buses: int) -> dict[str, Columns]:
     """Return the tables of one line whose weekday timetable needs `buses` slots.
 
     The departures are scaled until it does.
@@ -82,22 +90,22 @@ def _line(size: str, seed: int, number: int, buses: int) -> dict[str, pd.DataFra
     rng = generator(seed, "bus line", number)
     geometry = _geometry(rng, number, _STOPS[size])
     shares = _stop_shares(rng, geometry["pattern_stops"])
-    tried: dict[int, dict[str, Any]] = {}
+    tried: dict[int, dict[str, Columns]] = {}
     peak = max(DEPARTURES["weekday"])
     low, high = 0.5, 60.0
     for _ in range(40):
         base = math.sqrt(low * high)
-        frames: dict[str, Any] = {**geometry, **_service(geometry, shares, base / peak)}
-        found = len(build(Tables(**frames), BusConfig())[0].slot_line)
-        tried[found] = frames
+        tables = {**geometry, **_service(geometry, shares, base / peak)}
+        found = len(build_from_arrays(tables, META, BusConfig())[0].slot_line)
+        tried[found] = tables
         if found == buses:
-            return frames
+            return tables
         low, high = (base, high) if found < buses else (low, base)
     nearest = min(tried, key=lambda count: abs(count - buses))
     return tried[nearest]
 
 
-def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) -> dict[str, pd.DataFrame]:
+def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) -> dict[str, Columns]:
     """Return stops, patterns, links and travel times of a line that runs out along a heading and back.
 
     The way back is on the other side of the street.
@@ -108,7 +116,7 @@ def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) ->
         if all(limits[0] <= count <= limits[1] for count in counts):
             break
     heading = rng.uniform(0.0, 2.0 * math.pi)
-    tables: dict[str, list[pd.DataFrame]] = {name: [] for name in _TABLES[:5]}
+    ways: list[dict[str, Columns]] = []
     reach = 0.0
     for way, count in enumerate(counts):
         stop0, link0, pattern = 1000 * number + 500 * way, 1000 * number + 500 * way, 2 * number + way
@@ -119,45 +127,37 @@ def _geometry(rng: np.random.Generator, number: int, limits: tuple[int, int]) ->
         along = np.concatenate(([0.0], np.cumsum(legs)))
         place = along if way == 0 else reach - along
         stops = np.arange(count)
-        tables["stops"].append(_place_stops(stop0 + stops, place, heading, 30.0 * way))
-        tables["patterns"].append(
-            pd.DataFrame(
-                {
-                    "pattern": [pattern],
-                    "line": [f"line{number}"],
-                    "dir": ["IV"[way]],
-                    "n_stops": [count],
-                    "length_m": [int(reach)],
-                }
-            )
-        )
         links = np.append(NO_LINK, link0 + stops[:-1])
-        tables["pattern_stops"].append(
-            pd.DataFrame(
-                {
-                    "pattern": pattern,
+        ways.append(
+            {
+                "stops": _place_stops(stop0 + stops, place, heading, 30.0 * way),
+                "patterns": {
+                    "pattern": np.array([pattern]),
+                    "line": np.array([f"line{number}"]),
+                    "dir": np.array(["IV"[way]]),
+                    "n_stops": np.array([count]),
+                    "length_m": np.array([int(reach)]),
+                },
+                "pattern_stops": {
+                    "pattern": np.full(count, pattern),
                     "seq0": stops,
                     "stop": stop0 + stops,
                     "link": links,
                     "leg_m": np.append(0, legs),
-                }
-            )
-        )
-        tables["links"].append(
-            pd.DataFrame(
-                {
+                },
+                "links": {
                     "link": links[1:],
                     "from_stop": stop0 + stops[:-1],
                     "to_stop": stop0 + stops[1:],
                     "leg_m": legs,
-                }
-            )
+                },
+                "link_times": fitted_link_times(rng, links[1:], legs),
+            }
         )
-        tables["link_times"].append(fitted_link_times(rng, links[1:], legs))
-    return {name: pd.concat(frames, ignore_index=True) for name, frames in tables.items()}
+    return _stack_tables(ways)
 
 
-def _place_stops(stops: NDArray[np.int64], along: Floats, heading: float, aside: float) -> pd.DataFrame:
+def _place_stops(stops: NDArray[np.int64], along: Floats, heading: float, aside: float) -> Columns:
     """Return the coordinates of stops along a heading from the centre of Salvador.
 
     They lie `along` m from the centre and `aside` m to the right of the heading.
@@ -166,39 +166,36 @@ def _place_stops(stops: NDArray[np.int64], along: Floats, heading: float, aside:
     east = along * math.sin(heading) + aside * math.cos(heading)
     lat = -12.97 + north / METRES_PER_DEGREE
     lon = -38.50 + east / (METRES_PER_DEGREE * math.cos(math.radians(12.97)))
-    return pd.DataFrame({"stop": stops, "lat": lat, "lon": lon})
+    return {"stop": stops, "lat": lat, "lon": lon}
 
 
-def _stop_shares(rng: np.random.Generator, calls: pd.DataFrame) -> dict[int, tuple[Floats, Floats]]:
+def _stop_shares(rng: np.random.Generator, calls: Columns) -> dict[int, tuple[Floats, Floats]]:
     """Return each pattern's shares of the boardings and of the alightings at its stops."""
     shares = {}
-    for pattern, group in calls.groupby("pattern"):
-        count = len(group)
+    for pattern, count in zip(*np.unique(calls["pattern"], return_counts=True), strict=True):
         parts = []
         for tenths, sd in ((BOARDING_TENTHS, ATTRACTIVENESS_SD), (ALIGHTING_TENTHS, 1.0)):
             weight = rng.lognormal(0.0, sd, count)
             weight[-1 if tenths is BOARDING_TENTHS else 0] = 0.0
             parts.append(spread_by_tenth(tenths, weight))
-        shares[int(str(pattern))] = (parts[0], parts[1])
+        shares[int(pattern)] = (parts[0], parts[1])
     return shares
 
 
 def _service(
-    geometry: dict[str, pd.DataFrame], shares: dict[int, tuple[Floats, Floats]], scale: float
-) -> dict[str, pd.DataFrame]:
+    geometry: dict[str, Columns], shares: dict[int, tuple[Floats, Floats]], scale: float
+) -> dict[str, Columns]:
     """Return the tables demand, alighting and trips with `scale` times the city's departures per hour."""
     demand, alighting, trips = [], [], []
     for pattern, (boarding, leaving) in shares.items():
         count = len(boarding)
         alighting.append(
-            pd.DataFrame(
-                {
-                    "pattern": pattern,
-                    "seq0": np.repeat(np.arange(count), 4),
-                    "period": np.tile(np.arange(4), count),
-                    "p_alight": np.repeat(alighting_shares(boarding, leaving), 4),
-                }
-            )
+            {
+                "pattern": np.full(4 * count, pattern),
+                "seq0": np.repeat(np.arange(count), 4),
+                "period": np.tile(np.arange(4), count),
+                "p_alight": np.repeat(alighting_shares(boarding, leaving), 4),
+            }
         )
         for day, hourly in DEPARTURES.items():
             # Sunday's own profile is scaled so that its peak has its share of the fleet.
@@ -208,35 +205,40 @@ def _service(
             flow = np.concatenate(([0.0], np.cumsum(rate)))
             edges = np.append(_HOURS, 24) * 3600.0
             departures = np.interp(np.arange(max(int(flow[-1]), 2)), flow, edges)
-            times = geometry["link_times"]
-            own = geometry["pattern_stops"]["link"][geometry["pattern_stops"]["pattern"] == pattern]
-            mine = times[times["link"].isin(own) & (times["daytype"] == day)]
-            duration = mine.groupby("hour")["mean_s"].sum()
-            arrivals = departures + np.interp(departures / 3600.0, duration.index + 0.5, duration)
+            duration = _duration_by_hour(geometry, pattern, day)
             trips.append(
-                pd.DataFrame(
-                    {
-                        "pattern": pattern,
-                        "vehicle": np.arange(len(departures)),
-                        "dep_s": departures,
-                        "arr_s": arrivals,
-                        "daytype": day,
-                    }
-                )
+                {
+                    "pattern": np.full(len(departures), pattern),
+                    "vehicle": np.arange(len(departures)),
+                    "dep_s": departures,
+                    "arr_s": departures + np.interp(departures / 3600.0, TIMED_HOURS + 0.5, duration),
+                    "daytype": np.full(len(departures), day),
+                }
             )
             hours = np.array(HOUR_SHARES[day]) / sum(HOUR_SHARES[day])
             total = BOARDINGS_PER_TRIP[day] * len(departures)
+            rows = count * len(_HOURS)
             demand.append(
-                pd.DataFrame(
-                    {
-                        "pattern": pattern,
-                        "seq0": np.repeat(np.arange(count), len(_HOURS)),
-                        "hour": np.tile(_HOURS, count),
-                        "calls": np.tile(np.round(rate), count),
-                        "board": total * np.outer(boarding, hours).ravel(),
-                        "daytype": day,
-                    }
-                )
+                {
+                    "pattern": np.full(rows, pattern),
+                    "seq0": np.repeat(np.arange(count), len(_HOURS)),
+                    "hour": np.tile(_HOURS, count),
+                    "calls": np.tile(np.round(rate), count),
+                    "board": total * np.outer(boarding, hours).ravel(),
+                    "daytype": np.full(rows, day),
+                }
             )
-    frames = {"demand": demand, "alighting": alighting, "trips": trips}
-    return {name: pd.concat(parts, ignore_index=True) for name, parts in frames.items()}
+    return {"demand": stack(demand), "alighting": stack(alighting), "trips": stack(trips)}
+
+
+def _duration_by_hour(geometry: dict[str, Columns], pattern: int, day: str) -> Floats:
+    """Return the time that all links of a pattern take in each of TIMED_HOURS, s."""
+    calls, times = geometry["pattern_stops"], geometry["link_times"]
+    own = np.isin(times["link"], calls["link"][calls["pattern"] == pattern]) & (times["daytype"] == day)
+    total, lost = np.zeros(len(TIMED_HOURS)), np.zeros(len(TIMED_HOURS))
+    # Kahan's sum, as data frames have it: another would change the last bits of the scenarios of a seed.
+    for seconds in times["mean_s"][own].reshape(-1, len(TIMED_HOURS)):
+        added = seconds - lost
+        lost = (total + added) - total - added
+        total = total + added
+    return total

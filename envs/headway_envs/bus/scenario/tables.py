@@ -7,17 +7,22 @@ they may contain blanks.
 
 import difflib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import SCENARIOS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Columns = dict[str, NDArray[Any]]
+"""A table as arrays by column: with them, small synthetic scenarios and their networks need no pandas."""
 
 NO_LINK = 65535
 """Value of `link` at a pattern's first stop, to which no link leads."""
@@ -95,21 +100,35 @@ _REFERENCES = (
 class Tables:
     """Tables of a scenario as data frames with the columns of `COLUMNS`."""
 
-    stops: pd.DataFrame
-    patterns: pd.DataFrame
-    pattern_stops: pd.DataFrame
-    links: pd.DataFrame
-    link_times: pd.DataFrame
-    demand: pd.DataFrame
-    alighting: pd.DataFrame
-    trips: pd.DataFrame
+    stops: "pd.DataFrame"
+    patterns: "pd.DataFrame"
+    pattern_stops: "pd.DataFrame"
+    links: "pd.DataFrame"
+    link_times: "pd.DataFrame"
+    demand: "pd.DataFrame"
+    alighting: "pd.DataFrame"
+    trips: "pd.DataFrame"
     meta: dict[str, Any] = field(default_factory=dict)
     """`source`, `licence`; `service_centres`: list of [lat, lon]; `link_times_include_dwell`: bool; others as
     in docs/formats/scenario.md."""
 
+    def arrays(self) -> dict[str, Columns]:
+        """Return the columns of `COLUMNS` as arrays, by table."""
+        return {
+            name: {column: getattr(self, name)[column].to_numpy() for column in columns}
+            for name, columns in COLUMNS.items()
+        }
+
+
+def stack(parts: Sequence[Columns]) -> Columns:
+    """Return tables with the same columns as one, the rows of each after those of the one before."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
 
 def read_tables(folder: str | Path) -> Tables:
     """Read and check a scenario folder. Raises HeadwayError naming folder, table, row and column."""
+    import pandas as pd
+
     folder = Path(folder)
     if not folder.is_dir():
         near = difflib.get_close_matches(str(folder), SCENARIOS, 1, 0.5)
@@ -191,7 +210,7 @@ def check_tables(tables: Tables) -> None:
     _refuse_rows("trips", tables.trips, "arr_s", backwards, "is before dep_s; correct the times")
 
 
-def _refuse_rows(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bool_], what: str) -> None:
+def _refuse_rows(name: str, frame: "pd.DataFrame", column: str, bad: NDArray[np.bool_], what: str) -> None:
     """Raise HeadwayError naming the first row where `bad`, if any."""
     if not bad.any():
         return
@@ -200,7 +219,7 @@ def _refuse_rows(name: str, frame: pd.DataFrame, column: str, bad: NDArray[np.bo
     raise HeadwayError(f"table {name}, row {frame.index[place]}, column {column}: {', '.join(values)} {what}")
 
 
-def _check_columns(name: str, frame: pd.DataFrame, columns: tuple[str, ...]) -> None:
+def _check_columns(name: str, frame: "pd.DataFrame", columns: tuple[str, ...]) -> None:
     for column in columns:
         if column not in frame.columns:
             near = difflib.get_close_matches(column, [str(c) for c in frame.columns], 1, 0.5)
@@ -208,7 +227,9 @@ def _check_columns(name: str, frame: pd.DataFrame, columns: tuple[str, ...]) -> 
             raise HeadwayError(f"table {name} lacks column {column}: add it{hint}")
 
 
-def _check_values(name: str, frame: pd.DataFrame, column: str) -> None:
+def _check_values(name: str, frame: "pd.DataFrame", column: str) -> None:
+    import pandas as pd
+
     _refuse_rows(name, frame, column, frame[column].isna().to_numpy(), "is blank; fill it in")
     if column == "daytype":
         wrong = ~frame[column].isin((*DAY_TYPES, "saturday")).to_numpy()
@@ -252,6 +273,8 @@ def _check_patterns(tables: Tables) -> None:
 
 def _check_calls(tables: Tables) -> None:
     """Check that demand and alighting refer to existing positions; all passengers alight at the last one."""
+    import pandas as pd
+
     counts = tables.patterns.set_index("pattern")["n_stops"]
     for name in ("demand", "alighting"):
         frame: pd.DataFrame = getattr(tables, name)

@@ -163,7 +163,7 @@ def _geometry(rng: np.random.Generator, layout: LineLayout) -> dict[str, pd.Data
         "links": pd.DataFrame(
             {"link": np.arange(len(ends)), "from_stop": ends[:, 0], "to_stop": ends[:, 1], "leg_m": metres}
         ),
-        "link_times": fitted_link_times(rng, np.arange(len(metres)), metres),
+        "link_times": pd.DataFrame(fitted_link_times(rng, np.arange(len(metres)), metres)),
     }
 
 
