@@ -68,8 +68,8 @@ def env_entry(name: str) -> EnvEntry:
 def is_external(name: str) -> bool:
     """Return whether `name` is the place of an environment's code, and not of a registered environment.
 
-    It is a PettingZoo module (`mpe2.simple_spread_v3`), a Python file (`./shuttle.py`) or a Gymnasium id
-    with its module (`gymnasium:CartPole-v1`).
+    It is a PettingZoo module (`mpe2.simple_spread_v3`), a Python file (`./shuttle.py`) or MODULE:ID
+    (`gymnasium:CartPole-v1`).
     """
     return ("." in name or ":" in name) and name not in env_entries()
 

@@ -70,7 +70,7 @@ def _list_envs(name: str | None) -> None:
         print_table(("environment", "description", "rules"), rows)
         print_line(
             "others are chosen by their PettingZoo module (env=mpe2.simple_spread_v3), Python file "
-            "(env=./shuttle.py) or Gymnasium id (env=gymnasium:CartPole-v1)"
+            "(env=./shuttle.py) or id (env=pettingzoo:sisl/pursuit-v5)"
         )
     elif name in _file_only_envs():
         _list_group("env")(name)

@@ -46,7 +46,7 @@ _DEFAULT = "default_"
 _EXPERIMENT = "the experiment"
 _OTHER_ENVS = (
     ", or a PettingZoo module, such as env=mpe2.simple_spread_v3, a file, such as env=./shuttle.py, or a "
-    "Gymnasium id, such as env=gymnasium:CartPole-v1"
+    "registered id, such as env=pettingzoo:sisl/pursuit-v5 or env=gymnasium:CartPole-v1"
 )
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 

@@ -14,7 +14,7 @@ from headway_launch.experiments.search import Search
 
 _SEEDS = {"type": ["integer", "string", "array"]}
 _EXTERNAL = {"type": "string", "pattern": "[.:]"}
-"""Environments by module, file or Gymnasium id."""
+"""Environments by module, file or MODULE:ID."""
 
 
 def file_schema(kind: str) -> Schema:

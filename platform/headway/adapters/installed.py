@@ -2,7 +2,7 @@
 
 Configurations are shared between people, and importing a Python object runs its code, so configurations name
 no Python objects. Module paths of environments are the exception, kept narrow: nothing is imported unless the
-package's own metadata says that it depends on PettingZoo or, for a Gymnasium id, on Gymnasium. The other
+package's own metadata says that it depends on PettingZoo or, for MODULE:ID, on Gymnasium. The other
 exception is a Python file, which a configuration names by its path.
 """
 
@@ -32,24 +32,25 @@ def require_environment_module(name: str) -> None:
         raise HeadwayError(
             f"env.id={name} is not a public module; write package.module, such as mpe2.simple_spread_v3"
         )
-    _require_package(name.split(".")[0], "PettingZoo", name)
+    _require_package(name.split(".")[0], ("PettingZoo",), name)
     above, _, last = name.rpartition(".")
     siblings = _modules_in(above)
     if last not in siblings:
         raise HeadwayError(f"env.id={name}: no such module; {suggestion(last, siblings, f'{above}.')}")
 
 
-def require_gymnasium_module(module: str, env_id: str) -> None:
-    """Raise HeadwayError unless `module` belongs to an installed package that depends on Gymnasium.
+def require_registering_module(env_id: str) -> None:
+    """Raise HeadwayError unless `env_id` is MODULE:ID, of a package that may register environments.
 
-    `env_id`: the environment's id, for messages. Imports nothing.
+    It must be installed and depend on Gymnasium or PettingZoo. Imports nothing.
     """
+    module = env_id.partition(":")[0]
     if not _MODULE.fullmatch(module):
         raise HeadwayError(f"env.id={env_id} is not MODULE:ID, such as gymnasium:CartPole-v1")
-    _require_package(module.split(".")[0], "Gymnasium", env_id)
+    _require_package(module.split(".")[0], ("Gymnasium", "PettingZoo"), env_id)
 
 
-def _require_package(package: str, library: str, env_id: str) -> None:
+def _require_package(package: str, libraries: tuple[str, ...], env_id: str) -> None:
     spec = importlib.util.find_spec(package)
     own_file = Path(*env_id.split(".")).with_suffix(".py")
     or_file = f"; for your own file write env=./{own_file}" if own_file.is_file() else ""
@@ -58,11 +59,11 @@ def _require_package(package: str, library: str, env_id: str) -> None:
             f"env.id={env_id}: there is no package {package}; install it (pip install {package}), "
             f"or use a name that `headway list envs` shows{or_file}"
         )
-    if not _depends_on(library.lower(), package, spec.origin or ""):
+    if not any(_depends_on(library.lower(), package, spec.origin or "") for library in libraries):
         raise HeadwayError(
-            f"env.id={env_id}: {package} is not an installed package that depends on {library}, and no other "
-            "is imported; declare the dependency, or register the environment by entry point "
-            f"headway.envs{or_file}"
+            f"env.id={env_id}: {package} is not an installed package that depends on "
+            f"{' or '.join(libraries)}, and no other is imported; declare the dependency, or register the "
+            f"environment by entry point headway.envs{or_file}"
         )
 
 

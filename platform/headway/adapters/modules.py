@@ -1,9 +1,10 @@
-"""Any PettingZoo or Gymnasium environment, by module path, Python file or Gymnasium id.
+"""Any PettingZoo or Gymnasium environment, by module path, Python file or id.
 
 `env.id=mpe2.simple_spread_v3` and `env.id=/lab/shuttle.py`: the module or file defines `parallel_env`, or
 else `env` (agents act in turns, AEC), which PettingZoo converts to a parallel environment if the environment
-declares this to be valid, or else exactly one subclass of ParallelEnv. `env.id=gymnasium:CartPole-v1`:
-Gymnasium's own form MODULE:ID, where importing the module registers the id; the environment has one agent.
+declares this to be valid, or else exactly one subclass of ParallelEnv. `env.id=pettingzoo:sisl/pursuit-v5`
+and `env.id=gymnasium:CartPole-v1`: MODULE:ID, where importing the module registers the id with PettingZoo or
+Gymnasium. A Gymnasium environment has one agent.
 `env.args` are the arguments of that function or class.
 """
 
@@ -21,8 +22,9 @@ from typing import Any
 import numpy as np
 
 from headway.adapters.env_file import EnvFile, is_file_id
-from headway.adapters.installed import require_environment_module, require_gymnasium_module
+from headway.adapters.installed import require_environment_module, require_registering_module
 from headway.adapters.pettingzoo import NO_OPTIONS, AdapterOptions, ParallelEnvBatch
+from headway.config.schema import nearest
 from headway.config.signatures import argument_record, as_tuples, takes_any_arguments
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, RandomRule
 from headway.contracts.errors import one_line
@@ -36,7 +38,7 @@ class ModuleEnv:
     """An environment of a module with its arguments. Picklable."""
 
     module: str
-    """Module path, path of a file, or Gymnasium id."""
+    """Module path, path of a file, or MODULE:ID."""
     arguments: Mapping[str, Any]
     """Arguments that differ from the function's own defaults."""
     options: AdapterOptions
@@ -65,7 +67,7 @@ def module_entry(
     arguments: Iterable[str] = (),
     stored_digest: str | None = None,
 ) -> EnvEntry:
-    """Return the entry of the environment in a module or file, or with a Gymnasium id.
+    """Return the entry of the environment in a module or file, or with the id MODULE:ID.
 
     `arguments` are the keys that the user sets; they become the config's keys if the environment's function
     accepts any keyword. `stored_digest`: `EnvFile.digest` when the configuration was stored; a notice says
@@ -153,19 +155,41 @@ def _callables(name: str, file: EnvFile | None) -> tuple[Factory, Factory | None
     The latter is None if none does. Raises HeadwayError if the environment is not found.
     """
     if file is None and ":" in name:
-        return _gymnasium_callables(name)
-    module = _imported(name, file)
-    factory = _factory(name, module)
+        require_registering_module(name)
+        _imported(name.partition(":")[0])
+        if (entry_point := _pettingzoo_entry_point(name)) is None:
+            return _gymnasium_callables(name)
+        path, _, attribute = entry_point.partition(":")
+        module = _imported(path, named=name)
+        factory = getattr(module, attribute)
+    else:
+        module = _imported(name, file)
+        factory = _factory(name, module)
     # PettingZoo's own functions pass `**kwargs` on to `raw_env`.
     candidates = [factory, vars(module).get("raw_env"), vars(module).get("env")]
     source = next((call for call in candidates if callable(call) and not takes_any_arguments(call)), None)
     return factory, source
 
 
+def _pettingzoo_entry_point(name: str) -> str | None:
+    """Return the entry point `module:function` of an id in PettingZoo's registry; None if it is not there.
+
+    Raises HeadwayError, with the nearest id, if it is said to be one of PettingZoo's own.
+    """
+    import pettingzoo
+
+    module, _, env_id = name.partition(":")
+    known = {**pettingzoo.aec_registry, **pettingzoo.parallel_registry}
+    if env_id in known:
+        return str(known[env_id].entry_point)
+    if module == "pettingzoo":
+        near = nearest(env_id, known)
+        hint = f"did you mean env=pettingzoo:{near}?" if near else "sisl/pursuit-v5 is one"
+        raise HeadwayError(f"env.id={name}: PettingZoo registers no such environment; {hint}")
+    return None
+
+
 def _gymnasium_callables(name: str) -> tuple[Factory, Factory | None]:
-    module = name.partition(":")[0]
-    require_gymnasium_module(module, name)
-    _imported(module)
     import gymnasium
     from gymnasium.envs.registration import load_env_creator
 
@@ -180,14 +204,16 @@ def _gymnasium_callables(name: str) -> tuple[Factory, Factory | None]:
     return partial(gymnasium.make, name, disable_env_checker=True), creator if listed else None
 
 
-def _imported(name: str, file: EnvFile | None = None) -> ModuleType:
-    if file is None and ":" not in name and "." in name:
-        require_environment_module(name)
+def _imported(path: str, file: EnvFile | None = None, named: str = "") -> ModuleType:
+    """Import a module or file; `named`: the environment's id, for messages, if it is not the path."""
+    name = named or path
+    if file is None and not named and "." in path:
+        require_environment_module(path)
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # keeps pygame's greeting off stdout
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return file.load() if file else importlib.import_module(name)
+            return file.load() if file else importlib.import_module(path)
     except ModuleNotFoundError as error:
         raise HeadwayError(
             f"env.id={name} needs the package {error.name}, which is not installed: pip install {error.name}"

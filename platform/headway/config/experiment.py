@@ -42,7 +42,8 @@ class EnvConfig:
     id: str = "bus"
     """Registry name (see `headway list envs`), the module path of a PettingZoo environment, such as
     `mpe2.simple_spread_v3`, the path of a Python file that defines one, such as `./shuttle.py` (stored as an
-    absolute path), or a Gymnasium id with its module, such as `gymnasium:CartPole-v1`."""
+    absolute path), or the id of a registered environment with the module that registers it with PettingZoo or
+    Gymnasium, such as `pettingzoo:sisl/pursuit-v5` or `gymnasium:CartPole-v1`."""
     args: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the environment, validated by its own record."""
     training_args: Mapping[str, Any] | None = None

@@ -102,6 +102,21 @@ def prepared(module: str, options: AdapterOptions | None = None, **arguments: ob
     return entry.prepare(build(entry.config, arguments, "env.args", module))
 
 
+def test_an_id_of_the_registry_is_the_environment_of_its_module() -> None:
+    rewards = []
+    for name in ("pettingzoo:sisl/pursuit-v5", "pettingzoo.sisl.pursuit_v5"):
+        entry = module_entry(name, arguments=["n_pursuers"])
+        env = entry.make(entry.prepare(build(entry.config, {"n_pursuers": 3}, "env.args", name)), 1)
+        env.reset(np.array([7], np.uint64))
+        assert env.spec.num_agents == 3
+        rewards.append([env.step(np.full((1, 3), step % 5))[0].rewards.tolist() for step in range(30)])
+    assert rewards[0] == rewards[1]
+    with pytest.raises(
+        HeadwayError, match=r"no such environment; did you mean env=pettingzoo:sisl/pursuit-v5"
+    ):
+        module_entry("pettingzoo:sisl/pursuit-v4")
+
+
 def test_a_module_environment_keeps_the_contract() -> None:
     shared = pickle.loads(pickle.dumps(prepared(SPREAD, N=2)))
     assert shared.arguments == {"N": 2}
