@@ -30,13 +30,16 @@ def run_with_packages(folder: Path, *words: str) -> subprocess.CompletedProcess[
     )
 
 
+def requirements(name: str) -> list[str]:
+    """Return the names of the packages that an installed one requires without extras."""
+    required = map(Requirement, distribution(name).requires or ())
+    return [each.name for each in required if each.marker is None or each.marker.evaluate({"extra": ""})]
+
+
 def _with_requirements(names: Iterable[str]) -> list[Distribution]:
     found, pending = dict[str, Distribution](), list(names)
     while pending:
         if (name := pending.pop().lower()) not in found:
             found[name] = distribution(name)
-            required = map(Requirement, found[name].requires or ())
-            pending += [
-                each.name for each in required if each.marker is None or each.marker.evaluate({"extra": ""})
-            ]
+            pending += requirements(name)
     return list(found.values())
