@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from headway.config.schema import suggestion
 from headway.contracts.acting_policy import ActingPolicy
 from headway.contracts.entries import Rule
@@ -76,8 +78,8 @@ def _require_fitting(folder: Path, plan: RunPlan, policy: ActingPolicy) -> None:
             "it again"
         )
     _, state, _ = load_latest(folder / CHECKPOINTS)
-    seeds = len(plan.stack)
-    stored = {name: (len(a) // seeds, *a.shape[1:]) for name, a in state["acting"].items()}
+    shapes = {name: np.shape(array) for name, array in state["acting"].items()}
+    stored = {name: (rows // len(plan.stack), *rest) for name, (rows, *rest) in shapes.items()}
     expected = {name: shape for name, (shape, _) in policy.parameter_shapes(1).items()}
     if stored == expected:
         return

@@ -208,7 +208,7 @@ def _load(path: Path) -> dict[str, Any]:
     except (RuntimeError, EOFError) as error:
         raise ValueError("torch cannot read its content") from error
     decoded = _decoded(state)
-    if not isinstance(decoded, dict):
+    if not (isinstance(decoded, dict) and isinstance(decoded.get("acting", {}), dict)):
         raise ValueError("it holds no state")
     return decoded
 

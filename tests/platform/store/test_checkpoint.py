@@ -98,6 +98,14 @@ def test_a_device_in_the_place_of_a_checkpoint_is_skipped(tmp_path: Path) -> Non
     assert "it is not a regular file" in notices[0]
 
 
+def test_a_checkpoint_whose_parameters_are_no_mapping_is_broken(tmp_path: Path) -> None:
+    save_checkpoint(tmp_path, 20, _state())
+    save_checkpoint(tmp_path, 40, {**_state(), "acting": 1.5})
+    iteration, _, notices = load_latest(tmp_path)
+    assert iteration == 20
+    assert "it holds no state" in notices[0]
+
+
 def test_a_pickle_with_a_right_checksum_is_not_loaded(tmp_path: Path) -> None:
     """And torch's advice to load it unsafely is not passed on."""
     save_checkpoint(tmp_path, 20, _state())
