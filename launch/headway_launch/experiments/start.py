@@ -79,7 +79,7 @@ def _require_fitting(folder: Path, plan: RunPlan, policy: ActingPolicy) -> None:
         )
     _, state, _ = load_latest(folder / CHECKPOINTS)
     shapes = {name: np.shape(array) for name, array in state["acting"].items()}
-    stored = {name: (rows // len(plan.stack), *rest) for name, (rows, *rest) in shapes.items()}
+    stored = {name: (of[0] // len(plan.stack), *of[1:]) for name, of in shapes.items() if of}
     expected = {name: shape for name, (shape, _) in policy.parameter_shapes(1).items()}
     if stored == expected:
         return
