@@ -81,15 +81,25 @@ def test_policies_that_were_split_are_taken_over(fabricate: Fabricate) -> None:
         parent.start_from(parent.state_dict(), 0, 1, with_critic=True)
 
 
-def test_networks_of_another_off_policy_algorithm_are_refused() -> None:
-    parent = _learner("madqn", SPEC, (3,))
-    with pytest.raises(HeadwayError, match="another algorithm or of other networks than madqn has"):
-        _learner("madqn", SPEC, (3,)).start_from(parent.state_dict(), 0, 1, with_critic=False)
+def test_networks_of_another_algorithm_or_size_are_refused() -> None:
+    own, on_policy = _learner("madqn", SPEC, (3,)), _learner("ippo", SPEC, (3,))
+    larger = _learner("madqn", SPEC, (3,), model=ModelConfig(hidden=(9,)))
+    for parent, with_critic in ((on_policy, False), (larger, True)):
+        with pytest.raises(HeadwayError, match="another algorithm or of other networks than madqn has"):
+            own.start_from(parent.state_dict(), 0, 1, with_critic)
 
 
-def test_replay_buffers_are_filled_with_the_transitions_of_the_rule(fabricate: Fabricate) -> None:
-    config = configure("madqn", model=MODEL, learning_starts=10_000)
-    learner = ENTRIES["madqn"].learner(config, SPEC, (3,), "cpu")
-    assert isinstance(learner, StartingLearner)
-    stored = learner.imitate(fabricate(SPEC, 64, 4, seed=1), 1, 0.0)["memory/transitions"]
-    assert stored[0] > 100
+def test_a_critic_of_another_kind_starts_anew() -> None:
+    parent, child = _learner("ippo", SPEC, (3,)), _learner("coma", SPEC, (7,))
+    assert len(child.start_from(parent.state_dict(), 0, 1, with_critic=True)) == 1
+
+
+def test_replay_buffers_are_filled_while_exploration_waits(fabricate: Fabricate) -> None:
+    """Exploration falls from 1 with the share of training, not of the rule's iterations."""
+    learner = _learner("madqn", SPEC, (3,), learning_starts=10_000)
+    for iteration in (1, 2, 3):
+        metrics = learner.imitate(fabricate(SPEC, 64, 4, seed=iteration), iteration, iteration / 4)
+    assert metrics["memory/transitions"][0] > 300
+    assert learner.acting_parameters()["exploration"].item() == 1.0
+    learner.update(fabricate(SPEC, 64, 4, seed=9), 4, 0.3)
+    assert 0 < learner.acting_parameters()["exploration"].item() < 1.0

@@ -117,18 +117,19 @@ class OffPolicyLearner(PolicyStack):
     def imitate(
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
-        """Store the rule's transitions and learn from them as from any others."""
-        return self.update(trajectory, iteration, progress)
+        """Store the rule's transitions and learn from them, with all schedules at their start."""
+        return self.update(trajectory, iteration, 0.0)
 
     def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
         """Implement `headway.contracts.StartingLearner.start_from`.
 
         The networks depend on one another, so all are taken over or none; the replay buffer starts empty.
         """
-        parent = replica_state(state, replica, replicas, len(self.seeds))
-        own = self.method.state_dict()
-        taken = {name: part for name, part in parent["method"].items() if "optimiser" not in name}
-        if not (with_critic and same_shapes(taken, {name: own.get(name) for name in taken})):
+        own, taken = self.method.state_dict(), dict[str, Any]()
+        if with_critic:
+            parent = replica_state(state, replica, replicas, len(self.seeds))
+            taken = {name: part for name, part in parent["method"].items() if "optimiser" not in name}
+        if not taken or not same_shapes(taken, {name: own.get(name) for name in taken}):
             raise HeadwayError(
                 f"start.run is a run of another algorithm or of other networks than {self.config.name} has "
                 "here; start from a run of the same"

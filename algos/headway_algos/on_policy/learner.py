@@ -98,22 +98,31 @@ class OnPolicyLearner(PolicyStack):
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """Compute advantages, then update policies, critic and normalisers, in this order."""
+        trajectory = self._drop_unused_slots(trajectory_with_ids(trajectory, self.agent_ids))
         share = self.step_scale * self.config.lr_factor(progress)
         self.policy_update.anneal(share)
         self.critic.anneal(share)
-        return self._learn(trajectory, iteration, self._improve_policies)
+        metrics = self._learn(trajectory, iteration, self._improve_policies)
+        # The running statistics apply from the next iteration on.
+        self.include_observations(self.actor.moments, trajectory)
+        raise_if_diverged(self, self.acting_parameters(), f"{self.unit} {iteration}")
+        return metrics
 
     def imitate(
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
         """Raise the likelihood of the actions, and train the critic on their returns."""
+        trajectory = self._drop_unused_slots(trajectory_with_ids(trajectory, self.agent_ids))
         self.critic.anneal(self.step_scale)
-        return self._learn(trajectory, iteration, partial(self._imitate, share=1 - progress))
+        # First, so that policies learn on observations that are normalised as in the next iteration.
+        self.include_observations(self.actor.moments, trajectory)
+        metrics = self._learn(trajectory, iteration, partial(self._imitate, share=1 - progress))
+        raise_if_diverged(self, self.acting_parameters(), f"{self.unit} {iteration}")
+        return metrics
 
     def _learn(
         self, trajectory: Trajectory, iteration: int, improve: Improve
     ) -> dict[str, NDArray[np.float64]]:
-        trajectory = self._drop_unused_slots(trajectory_with_ids(trajectory, self.agent_ids))
         observations = self._observations(trajectory)
         hidden_states = self._hidden_states(trajectory, observations)
         estimate = self.critic.estimate(
@@ -126,10 +135,7 @@ class OnPolicyLearner(PolicyStack):
         critic_metrics = self.critic.fit(estimate, iteration)
         # Each of these is as large as all observations; the normalisers allocate as much again.
         del observations, hidden_states, estimate, rows, advantages
-        # The running statistics apply from the next iteration on.
         self.critic.update_normalisers(trajectory)
-        self.include_observations(self.actor.moments, trajectory)
-        raise_if_diverged(self, self.acting_parameters(), f"{self.unit} {iteration}")
         metrics = {f"policy/{name}": mean_per_replica(value, len(self.seeds)) for name, value in info.items()}
         return metrics | {f"critic/{name}": value for name, value in critic_metrics.items()}
 
@@ -206,9 +212,12 @@ class OnPolicyLearner(PolicyStack):
         """Implement `headway.contracts.StartingLearner.start_from`."""
         parent = replica_state(trained_state(state), replica, replicas, len(self.seeds))
         self.actor.load_state_dict(parent["actor"])
+        if not with_critic:
+            return []
         own = self.critic.state_dict()
-        taken = {name: parent["critic"][name] for name in _NETWORKS if name in own} if with_critic else {}
-        if not same_shapes(taken, {name: own[name] for name in taken}):
+        networks = {name: own[name] for name in _NETWORKS if name in own}
+        taken = {name: part for name, part in parent["critic"].items() if name in _NETWORKS}
+        if not same_shapes(taken, networks):
             return ["the critic of start.run does not fit this environment: a new one is trained"]
         self.critic.load_state_dict({**own, **taken})
         return []

@@ -58,7 +58,7 @@ class SplitLearner:
     def imitate(
         self, trajectory: Trajectory, iteration: int, progress: float
     ) -> dict[str, NDArray[np.float64]]:
-        """Let the shared policy imitate the actions. Raises HeadwayError after the split."""
+        """Let the shared policy imitate the actions. A rule acts before any split."""
         return self.shared.imitate(trajectory, iteration, progress)
 
     def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:

@@ -4,15 +4,20 @@ from pathlib import Path
 
 import numpy as np
 
-from headway.config.schema import suggestion
+from headway.config.schema import plain, suggestion
 from headway.contracts.acting_policy import ActingPolicy
 from headway.contracts.entries import Rule
 from headway.contracts.errors import HeadwayError
 from headway.contracts.random_rule import RANDOM
-from headway.store.run_folder import RunRecord, find_run
+from headway.store.run_configuration import read_configuration
+from headway.store.run_folder import CHECKPOINTS, RunRecord, find_run
 from headway.store.run_plan import RunPlan
 from headway.training.loop import ParentRun
 from headway_launch.experiments.compose import Experiment, PreparedEnv
+from headway_launch.experiments.parameters import flat
+
+_MEANINGS = ("model.activation", "normalise_observations")
+"""Keys of `algo` that change what a policy computes, but not the shapes of its parameters."""
 
 
 def start_rule(experiment: Experiment, environment: PreparedEnv) -> Rule | None:
@@ -52,25 +57,34 @@ def parent_run(experiment: Experiment, policy: ActingPolicy) -> ParentRun | None
             "start.run takes over separate policies, and algo.shared_until begins with a shared one; leave "
             "one of them out"
         )
-    folder = find_run(Path(config.store.root), config.start.run)
+    folder = find_run(Path(config.store.root), config.start.run).resolve()
     record, plan = RunRecord.read(folder), RunPlan.read(folder)
-    _require_fitting(folder, plan, policy)
-    same = record.algorithm == experiment.algo_name
+    if record.settled_status == "RUNNING":
+        raise HeadwayError(f"start.run: {folder.name} is still training; start from it when it has ended")
+    theirs, own = read_configuration(folder).get("algo", {}), plain(experiment.algo_config)
+    _require_fitting(folder, record, plan, policy)
+    for key in _MEANINGS:
+        there, here = dict(flat(theirs)).get(key), dict(flat(own)).get(key)
+        if there != here:
+            raise HeadwayError(
+                f"start.run: {folder.name} was trained with algo.{key}={there}, and this experiment has "
+                f"{here}; set algo.{key}={there}"
+            )
+    same = record.algorithm == experiment.algo_name and theirs.get("critic") == own.get("critic")
     return ParentRun(str(folder), plan.stack.index(record.seed), len(plan.stack), with_critic=same)
 
 
 def _require_start(experiment: Experiment, key: str) -> None:
-    if not experiment.algo.starts:
+    if not experiment.algo.starts or experiment.algo.contributor is not None:
         raise HeadwayError(
             f"{key}: {experiment.algo_name} starts from random parameters only; use another algorithm, such "
             "as algo=ippo"
         )
 
 
-def _require_fitting(folder: Path, plan: RunPlan, policy: ActingPolicy) -> None:
+def _require_fitting(folder: Path, record: RunRecord, plan: RunPlan, policy: ActingPolicy) -> None:
     """Raise HeadwayError unless the policies in a run's newest checkpoint are like `policy`."""
     from headway.store.checkpoint import load_latest
-    from headway.store.run_folder import CHECKPOINTS
 
     if not plan.scaled_actions:
         raise HeadwayError(
@@ -81,6 +95,19 @@ def _require_fitting(folder: Path, plan: RunPlan, policy: ActingPolicy) -> None:
     shapes = {name: np.shape(array) for name, array in state["acting"].items()}
     stored = {name: (of[0] // len(plan.stack), *of[1:]) for name, of in shapes.items() if of}
     expected = {name: shape for name, (shape, _) in policy.parameter_shapes(1).items()}
+    if stored.keys() != expected.keys():
+        part = min(stored.keys() ^ expected.keys())
+        raise HeadwayError(
+            f"start.run: the policies of {folder.name}, a run of {record.algorithm}, are of another kind "
+            f"(only {'theirs' if part in stored else 'those here'} have {part}); start from a run of the "
+            "same family of algorithms, with the same kind of actions and algo.model"
+        )
+    learner = state.get("learner")
+    if isinstance(learner, dict) and learner.get("parted") is False:
+        raise HeadwayError(
+            f"start.run: {folder.name} ended before its shared policy was split (algo.shared_until); resume "
+            "it first"
+        )
     if stored == expected:
         return
     different = sorted(name for name in {*stored, *expected} if stored.get(name) != expected.get(name))

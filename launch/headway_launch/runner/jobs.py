@@ -14,7 +14,7 @@ from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
 from headway.rollout.plan import RolloutPlan, copies_limit_text, within_limit
 from headway.store.atomic_files import make_folder
-from headway.training.loop import TrainingJob
+from headway.training.loop import ParentRun, TrainingJob
 from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment, PreparedEnv
@@ -76,6 +76,10 @@ class PlannedJob:
             contributor_preload=algo.preload,
         )
         return cls(experiment, training, environment.spec)
+
+    def with_parent(self, parent: ParentRun | None) -> Self:
+        """Return the job as one that starts from another run."""
+        return replace(self, training=replace(self.training, parent=parent))
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -144,7 +148,7 @@ def new_jobs(
         for first in range(0, len(seeds), stack)
     ]
     parent = parent_run(experiment, jobs[0].training.plan.policy)
-    return tuple(replace(job, training=replace(job.training, parent=parent)) for job in jobs)
+    return tuple(job.with_parent(parent) for job in jobs)
 
 
 def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfig:

@@ -10,11 +10,13 @@ from typing import Any
 from headway.adapters.env_file import require_unchanged
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
+from headway.store.checkpoint import latest_iteration
 from headway.store.run_configuration import read_configuration
-from headway.store.run_folder import RunRecord, find_run
+from headway.store.run_folder import CHECKPOINTS, RunRecord, find_run
 from headway.store.run_plan import RunPlan
 from headway_launch.experiments.compose import Experiment, PreparedEnv, resolve
 from headway_launch.experiments.parameters import identity
+from headway_launch.experiments.start import parent_run
 from headway_launch.runner.jobs import PlannedJob
 
 
@@ -113,5 +115,8 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
         if plan.block is not None:
             config = replace(config, rollout=replace(config.rollout, block=plan.block))
         job = PlannedJob.of(experiment, config, environment, spec, stack)
+        folders = [by_seed[seed].directory / CHECKPOINTS for seed in stack]
+        if all(latest_iteration(folder) is None for folder in folders):  # it begins anew
+            job = job.with_parent(parent_run(experiment, job.training.plan.policy))
         jobs.append(replace(job, resumed=run_ids, iteration=iteration, workers=plan.workers))
     return tuple(jobs)

@@ -156,23 +156,25 @@ def _callables(name: str, file: EnvFile | None) -> tuple[Factory, Factory | None
     """
     if file is None and ":" in name:
         require_registering_module(name)
-        _imported(name.partition(":")[0])
-        if (entry_point := _pettingzoo_entry_point(name)) is None:
+        _imported(name.partition(":")[0], named=name)
+        if (spec := _pettingzoo_spec(name)) is None:
             return _gymnasium_callables(name)
-        path, _, attribute = entry_point.partition(":")
-        module = _imported(path, named=name)
-        factory = getattr(module, attribute)
+        factory, candidates = spec.make, [spec.entry_point]
+        if isinstance(spec.entry_point, str):
+            path, _, attribute = spec.entry_point.partition(":")
+            module = _imported(path, named=name)
+            candidates = [getattr(module, attribute), vars(module).get("raw_env")]
     else:
         module = _imported(name, file)
         factory = _factory(name, module)
-    # PettingZoo's own functions pass `**kwargs` on to `raw_env`.
-    candidates = [factory, vars(module).get("raw_env"), vars(module).get("env")]
+        # PettingZoo's own functions pass `**kwargs` on to `raw_env`.
+        candidates = [factory, vars(module).get("raw_env"), vars(module).get("env")]
     source = next((call for call in candidates if callable(call) and not takes_any_arguments(call)), None)
     return factory, source
 
 
-def _pettingzoo_entry_point(name: str) -> str | None:
-    """Return the entry point `module:function` of an id in PettingZoo's registry; None if it is not there.
+def _pettingzoo_spec(name: str) -> Any:  # noqa: ANN401 - PettingZoo comes without types
+    """Return the entry of an id in PettingZoo's registry; None if it is not there.
 
     Raises HeadwayError, with the nearest id, if it is said to be one of PettingZoo's own.
     """
@@ -180,13 +182,11 @@ def _pettingzoo_entry_point(name: str) -> str | None:
 
     module, _, env_id = name.partition(":")
     known = {**pettingzoo.aec_registry, **pettingzoo.parallel_registry}
-    if env_id in known:
-        return str(known[env_id].entry_point)
-    if module == "pettingzoo":
+    if module == "pettingzoo" and env_id not in known:
         near = nearest(env_id, known)
         hint = f"did you mean env=pettingzoo:{near}?" if near else "sisl/pursuit-v5 is one"
         raise HeadwayError(f"env.id={name}: PettingZoo registers no such environment; {hint}")
-    return None
+    return known.get(env_id)
 
 
 def _gymnasium_callables(name: str) -> tuple[Factory, Factory | None]:

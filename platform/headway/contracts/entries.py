@@ -39,7 +39,10 @@ def _no_replay(config: Any, spec: EnvSpec, env_steps: int) -> int:  # noqa: ANN4
 
 
 class Rule(Protocol):
-    """A classical controller. It may inspect the environment itself, not only the observations."""
+    """A classical controller. It may inspect the environment itself, not only the observations.
+
+    State of its own is in no snapshot: training that starts from such a rule is not resumed exactly.
+    """
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[Any]:
         """Return the actions of every copy and agent, shaped as `BatchedEnv.step` takes them."""

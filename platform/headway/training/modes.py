@@ -45,7 +45,7 @@ class SynchronousMode:
     deterministic = True
 
     def __init__(self, learner: Learner, collector: Collector, rule_iterations: int = 0) -> None:
-        """In the first `rule_iterations` a rule acts, which an `StartingLearner` imitates."""
+        """In the first `rule_iterations` a rule acts, which a `StartingLearner` imitates."""
         self.learner, self.collector = learner, collector
         self.rule_iterations = rule_iterations
 

@@ -98,6 +98,43 @@ def test_greedy_actions_become_those_of_the_rule(
         np.testing.assert_array_equal(learner.acting_parameters()["log_std"], before["log_std"])
 
 
+def _agreement(iterations: int, fabricate: Fabricate) -> float:
+    """Return how many greedy actions are the rule's, on observations far from 0, after imitation."""
+    config = configure("ippo", model=MODEL)
+    learner = ENTRIES["ippo"].learner(config, SPEC, (3,), "cpu")
+    assert isinstance(learner, StartingLearner)
+    for iteration in range(1, iterations + 1):
+        made = fabricate(SPEC, 128 // iterations, 64, seed=iteration)
+        made.actions[:] = _rule_actions(SPEC, made.observations[:-1], made.action_masks)
+        made.observations[:] = 30 + 10 * made.observations
+        learner.imitate(made, iteration, (iteration - 1) / iterations)
+    new = fabricate(SPEC, 32, 1, seed=99)
+    expected = _rule_actions(SPEC, new.observations[:-1], new.action_masks)
+    policy, parameters = ENTRIES["ippo"].acting_policy(config, SPEC), learner.acting_parameters()
+    seen = (30 + 10 * new.observations).astype(np.float32)
+    steps = range(len(new.rewards))
+    observed = [Observations(seen[t], new.states[t], new.alive[t]) for t in steps]
+    return float(np.mean([policy.act(parameters, observed[t], None)[0] == expected[t] for t in steps]))
+
+
+def test_one_iteration_is_enough_whatever_the_scale_of_observations(fabricate: Fabricate) -> None:
+    for iterations in (1, 2):
+        assert _agreement(iterations, fabricate) > 0.95
+
+
+def test_steps_shrink_towards_the_end(fabricate: Fabricate) -> None:
+    """Steps of Adam are proportional to the learning rate."""
+    moved = []
+    for progress in (0.0, 0.99):
+        config = configure("ippo", model=MODEL, precision="float64")
+        learner = ENTRIES["ippo"].learner(config, SPEC, (3,), "cpu")
+        assert isinstance(learner, StartingLearner)
+        before = learner.acting_parameters()["weight_0"].copy()
+        learner.imitate(_played_by_rule(fabricate, SPEC, 0, 1, 2), 1, progress)
+        moved.append(np.abs(learner.acting_parameters()["weight_0"] - before).max())
+    assert moved[1] < moved[0] / 20
+
+
 def test_the_critic_learns_the_returns_of_the_rule(fabricate: Fabricate) -> None:
     """Every step pays 1 and ends its stream: the return of each is 1."""
     learner = ENTRIES["mappo"].learner(

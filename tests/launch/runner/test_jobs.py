@@ -1,23 +1,26 @@
 """Environments that limit the copies per process get enough processes, or are refused in one line."""
 
+import shutil
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import yaml
-from small_runs import SMALL
+from small_runs import SMALL, end_as
 
 from headway.config.experiment import BackendConfig, ExperimentConfig, RolloutConfig
 from headway.contracts import Discrete, EnvSpec, HeadwayError
 from headway.store.parquet_log import read_rows
+from headway.store.run_folder import Process
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
 from headway_launch.runner.cores import share_cores, uses_gpu, workers_of
 from headway_launch.runner.jobs import new_jobs, plan_jobs, require_free_disk, within_processes
+from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
 
 ONE = EnvSpec("bridge", ("north",), 1, Discrete(2), max_copies_per_process=1)
 TWO = replace(ONE, max_copies_per_process=2)
@@ -309,17 +312,47 @@ def test_training_starts_from_the_policies_of_one_run_of_a_stack(parents: Path, 
     ("words", "line"),
     [
         (
-            ["algo.model.hidden=[8]"],
+            ["algo.model.hidden=[8,8]"],
             r"\(bias_0 is \(1, 64, 1\) there and \(1, 8, 1\) here\); start from",
         ),
+        (["algo.model.hidden=[8]"], "only theirs have bias_2.; start from a run .* algo.model"),
         (["env=visitors"], "have another shape .*same observations, actions"),
         (["algo.policies=independent", "algo.shared_until=0.5"], "start.run takes over separate policies"),
         (["start.rule=optimal"], "start.run excludes rule"),
         (["start.run=s9"], "start.run: no run 's9' in .*: the nearest is "),
         (["algo=a3c"], "a3c starts from random parameters only"),
+        (
+            ["algo=madqn"],
+            "a run of mappo, are of another kind .only those here have exploration.; start from a",
+        ),
+        (["algo.model.activation=relu"], r"activation=tanh, .* has relu; set algo\.model\.activation=tanh"),
+        (["algo.normalise_observations=false"], "trained with algo.normalise_observations=True, and this"),
     ],
 )
 def test_runs_that_training_cannot_start_from_are_refused(words: list[str], line: str, parents: Path) -> None:
     words = ["env=trivial", "algo=mappo", f"store.root={parents}", "start.run=-s1-", *words]
     with pytest.raises(HeadwayError, match=line):
         plan_jobs(compose(words))
+
+
+def test_a_child_that_lost_its_checkpoints_starts_from_its_parent_again(parents: Path) -> None:
+    """And one that has a checkpoint does without the parent, which may be deleted."""
+    words = ["env=trivial", "algo=mappo", "seed=8", "start.run=-s1-", *SMALL, "study=lost", "backend=serial"]
+    assert run(["run", *words, f"store.root={parents}"]) == 0
+    [child] = (parents / "lost").glob("*-s8-*")
+    end_as(child)
+    [[job]] = jobs_to_resume([StoredRun.read(parents, child)])
+    assert job.training.parent is None
+    shutil.rmtree(child / "checkpoints")
+    [[job]] = jobs_to_resume([StoredRun.read(parents, child)])
+    assert job.training.parent is not None
+    assert "-s1-" in job.training.parent.directory
+
+
+def test_a_run_that_still_trains_is_no_start(parents: Path) -> None:
+    [parent] = (parents / "default").glob("*-s0-*")
+    end_as(parent, "RUNNING", session=asdict(Process.current()))
+    words = ["env=trivial", "algo=mappo", f"store.root={parents}", "start.run=-s0-"]
+    with pytest.raises(HeadwayError, match="is still training; start from it when it has ended"):
+        plan_jobs(compose(words))
+    end_as(parent, "FINISHED")

@@ -11,6 +11,7 @@ from textwrap import dedent
 from typing import Any
 
 import numpy as np
+import pettingzoo
 import pytest
 
 from headway.adapters import installed
@@ -111,6 +112,12 @@ def test_an_id_of_the_registry_is_the_environment_of_its_module() -> None:
         assert env.spec.num_agents == 3
         rewards.append([env.step(np.full((1, 3), step % 5))[0].rewards.tolist() for step in range(30)])
     assert rewards[0] == rewards[1]
+    pursuit = "pettingzoo.sisl.pursuit.pursuit:parallel_env"
+    for number, entry_point in ((3, pursuit), (4, pettingzoo.parallel_registry["sisl/pursuit-v5"].make)):
+        pettingzoo.register("parallel", f"few/pursuit{number}-v0", entry_point, kwargs={"n_pursuers": number})
+        entry = module_entry(f"pettingzoo:few/pursuit{number}-v0")
+        env = entry.make(entry.prepare(build(entry.config, {}, "env.args", "few")), 1)
+        assert env.spec.num_agents == number
     with pytest.raises(
         HeadwayError, match=r"no such environment; did you mean env=pettingzoo:sisl/pursuit-v5"
     ):
