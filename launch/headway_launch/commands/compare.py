@@ -66,6 +66,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.output import print_line
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.console.tables import print_table
+    from headway_launch.experiments.start_line import start_line
     from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
     from headway_launch.runner.comparison import (
         EPISODES_FOR_A_CLAIM,
@@ -78,7 +79,6 @@ def execute(arguments: argparse.Namespace) -> int:
         rules_to_play,
     )
     from headway_launch.runner.warm_up import compile_kernels
-    from headway_launch.studies.starts import start_line
 
     if arguments.episodes < 2:
         raise HeadwayError(

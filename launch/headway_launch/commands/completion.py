@@ -10,7 +10,7 @@ from typing import Any
 import argcomplete
 from argcomplete.completers import DirectoriesCompleter, FilesCompleter
 
-from headway.config.experiment import ExperimentConfig
+from headway.config.experiment import ExperimentConfig, StoreConfig
 from headway.config.json_schema import Schema, record_schema
 from headway.registry import algo_entries, env_entries
 from headway_launch.experiments.options import option_names, own_configs
@@ -53,12 +53,24 @@ def override_completions(words: Sequence[str], prefix: str) -> list[str]:
     """
     key, is_value, value = prefix.partition("=")
     if is_value:
-        known = option_names(key) if key in _GROUPS else _values(_keys(words, key).get(key, {}))
+        known = _known_values(words, key)
         before = value[: value.rfind(",") + 1]
         return [f"{key}={before}{each}" for each in known]
     files = FilesCompleter(["yaml", "yml"])(prefix) if prefix else ()
     names = (name for name in _keys(words, prefix) if prefix or "." not in name)
     return [*(f"{name}=" for name in dict.fromkeys((*_GROUPS, *names))), *files]
+
+
+def _known_values(words: Sequence[str], key: str) -> Iterable[str]:
+    if key in _GROUPS:
+        return option_names(key)
+    if key == "start.run":
+        return sorted(_of_runs("run_id")(argparse.Namespace(store=StoreConfig.root)))
+    if key == "start.rule":
+        known, chosen = env_entries(), dict(word.split("=", 1) for word in words if _is_override(word))
+        named = [known[chosen["env"]]] if chosen.get("env") in known else known.values()
+        return sorted({rule for entry in named for rule in entry.rules})
+    return _values(_keys(words, key).get(key, {}))
 
 
 def _keys(words: Sequence[str], prefix: str) -> dict[str, Schema]:

@@ -30,10 +30,19 @@ examples:
   headway convert bus --to csv --where 'algorithm="mappo"' --output lab/mappo
 
 Reads the logs of the newest finished run of each cell and seed; nothing is sent anywhere. csv: one file per
-table, and columns.csv with the meaning and unit of each column; tensorboard: a folder of event files per run;
-wandb: an offline run per run, in the project STUDY. In both, the steps are environment steps.
+table, columns.csv with meanings and units, and each run's configuration; tensorboard: a folder of event files
+per run; wandb: an offline run per run, in the project STUDY. In both, the steps are environment steps.
 """
 _MEANINGS = {
+    "run_id": "name of the run",
+    "study": "name of the study",
+    "cell": "key of the cell: an environment and an algorithm with their settings",
+    "label": "name of the cell among those of its study",
+    "task": "environment, with the arguments in which cells differ",
+    "controller": "algorithm, with the settings in which cells differ",
+    "rule": "name of the rule",
+    "seed": "training seed",
+    "status": "RUNNING, FINISHED, FAILED or KILLED",
     "iteration": "number of the iteration",
     "env_steps": "environment steps of the seed by the end of the iteration",
     "wall_s": "time since the start of the run, s",
@@ -118,6 +127,9 @@ def _write_csv(runs: "RunSelection", folder: Path) -> None:
                 table.to_csv(folder / f"{name}.csv", index=False)
                 columns += [(name, column, _meaning(column, meanings)) for column in table.columns]
             progress.add()
+    (folder / "configs").mkdir()
+    for run_id, text in runs.configurations().items():
+        (folder / "configs" / f"{run_id}.yaml").write_text(text, encoding="utf-8")
     listed = pd.DataFrame(columns, columns=["table", "column", "meaning"])
     listed.to_csv(folder / "columns.csv", index=False)
 

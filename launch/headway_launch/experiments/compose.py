@@ -205,7 +205,8 @@ def _with_parent_named(experiment: Experiment) -> Experiment:
     if config.start.run is None:
         return experiment
     try:
-        name = find_run(Path(config.store.root), config.start.run).name
+        # Also the path of a run's folder, as `headway run` prints it.
+        name = find_run(Path(config.store.root), Path(config.start.run).name).name
     except HeadwayError as error:
         raise HeadwayError(f"start.run: {error}") from error
     return replace(experiment, config=replace(config, start=replace(config.start, run=name)))

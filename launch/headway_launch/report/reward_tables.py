@@ -8,6 +8,7 @@ import pandas as pd
 from headway.stats import frames, plots
 from headway.stats.curves import FEWEST_POINTS
 from headway.wording import counted
+from headway_launch.experiments.start_line import start_line
 from headway_launch.report.elements import (
     MISSING,
     Part,
@@ -20,7 +21,6 @@ from headway_launch.report.elements import (
 )
 from headway_launch.report.study_data import DifferenceFromBest, StudyData, mean_of_known
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
-from headway_launch.studies.starts import start_line
 
 
 def final_reward_section(data: StudyData) -> Section:

@@ -14,6 +14,7 @@ from headway.store.run_folder import RunRecord, read_summary
 from headway.wording import counted, environment_name
 from headway_launch.console.output import print_line
 from headway_launch.console.tables import Value, print_table, without_empty
+from headway_launch.experiments.start_line import start_line
 from headway_launch.runner.comparison import print_comparison
 
 if TYPE_CHECKING:
@@ -188,6 +189,10 @@ def print_results(
         print_comparison(
             str(config.algo["name"]), _final_episodes(config.evaluation.modes[0], results), rules
         )
+    folders = [Path(result.directory) for result in results]
+    metric = f"evaluation_{config.evaluation.modes[0]}/return"
+    if line := start_line(str(config.algo["name"]), Path(config.store.root), folders, metric):
+        print_line(line)
 
 
 def print_cells(

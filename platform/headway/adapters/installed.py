@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
-from headway.config.schema import suggestion
+from headway.config.schema import nearest, suggestion
 from headway.contracts import HeadwayError
 from headway.contracts.errors import one_line
 
@@ -55,9 +55,16 @@ def _require_package(package: str, libraries: tuple[str, ...], env_id: str) -> N
     own_file = Path(*env_id.split(".")).with_suffix(".py")
     or_file = f"; for your own file write env=./{own_file}" if own_file.is_file() else ""
     if spec is None:
+        if (near := nearest(package, ("pettingzoo", "gymnasium"))) is not None:
+            meant = env_id.replace(package, near, 1)
+        elif importlib.util.find_spec("pettingzoo") and importlib.util.find_spec(f"pettingzoo.{package}"):
+            meant = f"pettingzoo.{env_id}"
+        else:
+            meant = ""
+        fix = f"did you mean env={meant}?" if meant else f"install it (pip install {package})"
         raise HeadwayError(
-            f"env.id={env_id}: there is no package {package}; install it (pip install {package}), "
-            f"or use a name that `headway list envs` shows{or_file}"
+            f"env.id={env_id}: there is no package {package}; {fix}; or use a name that `headway list envs` "
+            f"shows{or_file}"
         )
     if not any(_depends_on(library.lower(), package, spec.origin or "") for library in libraries):
         raise HeadwayError(

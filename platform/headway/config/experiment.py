@@ -176,12 +176,14 @@ class StartConfig:
     null: none."""
 
     def __post_init__(self) -> None:
-        require_key(self.rule is None or self.run is None, "run", "excludes rule: leave one of them out")
+        require_key(
+            self.rule is None or self.run is None, "run", "excludes start.rule: leave one of them out"
+        )
         require_value(self, "env_steps", self.env_steps >= 1, "must be at least 1")
         require_key(
             self.rule is not None or self.env_steps == type(self).env_steps,
             "env_steps",
-            "applies to a rule: set rule too, or leave this out",
+            "applies to a rule: set start.rule too, or leave this out",
         )
 
 
@@ -301,8 +303,8 @@ class ExperimentConfig:
         require_key(
             self.rule_iterations < self.iterations,
             "start.env_steps",
-            f"{self.start.env_steps} leaves nothing of env_steps={self.env_steps} to learn in; lower it, or "
-            "raise env_steps",
+            f"of {self.start.env_steps} leaves nothing of env_steps={self.env_steps} to learn in; lower it, "
+            "or raise env_steps",
         )
 
     @property

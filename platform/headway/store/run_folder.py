@@ -238,8 +238,8 @@ def find_run(root: Path, run_id: str) -> Path:
     if len(matches) == 1:
         return folders[matches[0]]
     if matches:
-        shown = ", ".join(sorted(matches)[:3])
-        raise HeadwayError(f"{len(matches)} runs match {run_id!r} ({shown}, ...): give more of the name")
+        shown = ", ".join(sorted(matches)[:3]) + (", ..." if len(matches) > 3 else "")
+        raise HeadwayError(f"{len(matches)} runs match {run_id!r} ({shown}): give more of the name")
     nearest = get_close_matches(run_id, folders, n=1, cutoff=0.0)
     hint = f"the nearest is {nearest[0]}" if nearest else "the store holds no runs"
     raise HeadwayError(f"no run {run_id!r} in {root}: {hint}")

@@ -51,7 +51,7 @@ def test_csv_has_a_file_per_table_with_the_unit_of_each_column(
 ) -> None:
     assert run(["convert", "lines", "--to", "csv"]) == 0
     assert capsys.readouterr().out == "csv-lines\n"
-    tables = {file.stem: pd.read_csv(file) for file in Path("csv-lines").iterdir()}
+    tables = {file.stem: pd.read_csv(file) for file in Path("csv-lines").glob("*.csv")}
     assert set(tables) == {"runs", "curves", "episodes", "columns"}
     curves = tables["curves"]
     assert curves["run_id"].tolist() == [name for name in runs for _ in CURVE]
@@ -67,6 +67,7 @@ def test_csv_has_a_file_per_table_with_the_unit_of_each_column(
     assert meanings["curves", "evaluation_greedy/return"].startswith("sum of rewards over the episode")
     assert meanings["curves", "wall_s"].endswith(", s")
     assert meanings["runs", "kwh"].endswith(", kWh")
+    assert sorted(file.stem for file in Path("csv-lines", "configs").iterdir()) == sorted(runs)
 
 
 def test_tensorboard_reads_every_point_of_every_run(runs: list[str]) -> None:

@@ -267,8 +267,11 @@ def test_rules_that_training_cannot_start_from_are_refused(words: list[str], lin
     ("words", "line"),
     [
         (["start.rule=optimal", "start.env_steps=0"], "start.env_steps must be at least 1, not 0"),
-        (["start.rule=optimal", "start.env_steps=9000"], "9000 leaves nothing of env_steps=9000 to learn in"),
-        (["start.env_steps=10"], "start.env_steps applies to a rule: set rule too, or leave this out"),
+        (
+            ["start.rule=optimal", "start.env_steps=9000"],
+            "of 9000 leaves nothing of env_steps=9000",
+        ),
+        (["start.env_steps=10"], "start.env_steps applies to a rule: set start.rule too, or leave this out"),
     ],
 )
 def test_budgets_of_a_rule_that_leave_nothing_to_learn_are_refused(words: list[str], line: str) -> None:
@@ -318,7 +321,7 @@ def test_training_starts_from_the_policies_of_one_run_of_a_stack(parents: Path, 
         (["algo.model.hidden=[8]"], "only theirs have bias_2.; start from a run .* algo.model"),
         (["env=visitors"], "have another shape .*same observations, actions"),
         (["algo.policies=independent", "algo.shared_until=0.5"], "start.run takes over separate policies"),
-        (["start.rule=optimal"], "start.run excludes rule"),
+        (["start.rule=optimal"], "start.run excludes start.rule"),
         (["start.run=s9"], "start.run: no run 's9' in .*: the nearest is "),
         (["algo=a3c"], "a3c starts from random parameters only"),
         (

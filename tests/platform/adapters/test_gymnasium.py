@@ -66,6 +66,8 @@ def test_arguments_are_those_of_the_class() -> None:
         ("gymnasium:CartPoe-v1", "env.id=gymnasium:CartPoe-v1 cannot be used: NameNotFound.*Did you mean"),
         ("gymnasium:", "cannot be used: Error: Malformed environment ID"),
         (":CartPole-v1", "is not MODULE:ID, such as gymnasium:CartPole-v1"),
+        ("pettingzo:sisl/pursuit-v5", "no package pettingzo; did you mean env=pettingzoo:sisl/pursuit-v5"),
+        ("sisl.pursuit_v5", "no package sisl; did you mean env=pettingzoo.sisl.pursuit_v5"),
         ("nolib:X-v0", "there is no package nolib; install it"),
         (
             "os:X-v0",

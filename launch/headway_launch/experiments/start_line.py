@@ -8,8 +8,9 @@ from typing import Any
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import read_json
 from headway.store.parquet_log import read_rows
+from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import RunRecord, find_run, read_summary, rules_file
-from headway_launch.studies.runs import configuration
+from headway.wording import counted
 
 
 def start_line(name: str, root: Path, directories: Sequence[Path], metric: str) -> str | None:
@@ -18,7 +19,7 @@ def start_line(name: str, root: Path, directories: Sequence[Path], metric: str) 
     `name` is the cell's name, `root` the store and `directories` the runs' folders. Of a policy that imitated
     a rule, `metric`, such as `evaluation_greedy/return`, is given beside that of the rule.
     """
-    config = configuration(str(directories[0]))
+    config = read_configuration(directories[0])
     start = config.get("start") or {}
     if start.get("rule"):
         return f"{name} {_from_rule(config, root, directories, metric)}"
@@ -39,14 +40,18 @@ def _from_rule(config: Mapping[str, Any], root: Path, directories: Sequence[Path
     ]
     if not imitated:
         return line
+    episodes = int(config["evaluation"]["episodes"])
     group, _, column = metric.partition("/")
     mode = group.removeprefix("evaluation_")
-    line = f"{line}; the policy that imitated it then had a {mode} {column} of {fmean(imitated):.4g}"
-    record, count = RunRecord.read(directories[0]), int(config["evaluation"]["episodes"])
+    line = (
+        f"{line}; the policies that imitated it then had a mean {mode} {column} of {fmean(imitated):.4g} on "
+        f"the curve's {counted(episodes, 'episode')}"
+    )
+    record = RunRecord.read(directories[0])
     path = rules_file(root, record.study, record.cell)
-    played = read_json(path).get(rule, [])[:count] if path.exists() else []
+    played = read_json(path).get(rule, [])[:episodes] if path.exists() else []
     values = [float(episode[column]) for episode in played if column in episode]
-    return f"{line}, the rule of {fmean(values):.4g} on the same episodes" if values else line
+    return f"{line}, and the rule {fmean(values):.4g}" if values else line
 
 
 def _from_run(root: Path, parent: str) -> str:
@@ -57,6 +62,10 @@ def _from_run(root: Path, parent: str) -> str:
     except HeadwayError:
         return f"{line}, which is no longer in the store"
     units = {"env_steps": "steps", "cpu_seconds": "CPU s", "kwh": "kWh"}
-    costs = [f"{summary[key]:,.4g} {unit}" for key, unit in units.items() if summary.get(key)]
+    used = {unit: summary[key] for key, unit in units.items() if summary.get(key)}
+    costs = [
+        f"{use:,} {unit}" if isinstance(use, int) else f"{use:,.4g} {unit}" for unit, use in used.items()
+    ]
     cost = f", whose {', '.join(costs)} are not in these results" if costs else ""
-    return f"{line} ({record.algorithm} on {record.environment}){cost}"
+    shared = "; all its seeds share that start, whose variation the intervals leave out"
+    return f"{line} ({record.algorithm} on {record.environment}){cost}{shared}"
