@@ -239,21 +239,10 @@ def test_gradients_through_sequences_equal_a_loop(fabricate: Fabricate, piece_sa
 def rows_of(
     learner: OnPolicyLearner, track: Trajectory, advantages: NDArray[Any]
 ) -> tuple[PolicyBatch, Tensor]:
-    """Record the arguments of the policy update."""
-    kept: list[tuple[PolicyBatch, Tensor]] = []
-
-    class Keeping:
-        def improve(self, rows: PolicyBatch, by_policy: Tensor, generators: object) -> dict[str, Tensor]:
-            kept.append((rows, by_policy))
-            return {}
-
-    update, learner.policy_update = learner.policy_update, Keeping()  # type: ignore[assignment]
-    learner.config = replace(learner.config, normalise_advantages=False)
+    """Return what the policy update is given."""
     observations = learner._observations(track)
-    hidden_states = learner._hidden_states(track, observations)
-    learner._improve_policies(track, observations, hidden_states, advantages, 1)
-    learner.policy_update = update
-    return kept[0]
+    rows = learner._policy_batch(track, observations, learner._hidden_states(track, observations))
+    return rows, learner.layout.rows(np.broadcast_to(advantages, track.rewards.shape))
 
 
 def test_fisher_products_backpropagate_through_time(fabricate: Fabricate) -> None:
