@@ -32,7 +32,7 @@ def replica_state(state: Any, replica: int, replicas: int, copies: int) -> Any: 
     return map_tensors(repeated, state)
 
 
-def same_shapes(one: Any, other: Any) -> bool:  # noqa: ANN401 - as above
+def same_shapes(one: object, other: object) -> bool:
     """Return whether two states have the same tensors, by name and shape."""
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(same_shapes(one[name], other[name]) for name in one)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from headway_algos.batches.layout import Layout
@@ -51,11 +52,12 @@ def imitate(
     return info
 
 
-def _allowed(rows: PolicyBatch, nvec: Sequence[int]) -> np.ndarray:
+def _allowed(rows: PolicyBatch, nvec: Sequence[int]) -> NDArray[np.bool_]:
     """Return where the mask allows the action, (P, B): a rule may choose what the environment overrides."""
     if rows.masks is None:
         return np.ones_like(rows.selected)
     options = rows.actions[..., None]
     if nvec:
         options = rows.actions + torch.tensor([0, *nvec[:-1]], device=rows.actions.device).cumsum(0)
-    return rows.masks.gather(2, options).all(2).cpu().numpy()
+    allowed: NDArray[np.bool_] = rows.masks.gather(2, options).all(2).cpu().numpy()
+    return allowed

@@ -38,7 +38,7 @@ def _add_completers(parser: argparse.ArgumentParser) -> None:
             for subparser in action.choices.values():
                 _add_completers(subparser)
         elif completer := _COMPLETERS.get(str(action.metavar or action.dest)):
-            action.completer = completer  # type: ignore[attr-defined]
+            action.completer = completer  # type: ignore[attr-defined]  # where argcomplete looks for it
 
 
 def _is_override(word: str) -> bool:

@@ -110,10 +110,9 @@ def _require_fitting(folder: Path, record: RunRecord, plan: RunPlan, policy: Act
         )
     if stored == expected:
         return
-    different = sorted(name for name in {*stored, *expected} if stored.get(name) != expected.get(name))
-    there, here = stored.get(different[0], "missing"), expected.get(different[0], "missing")
+    name = min(name for name in expected if stored[name] != expected[name])
     raise HeadwayError(
-        f"start.run: the policies of {folder.name} have another shape ({different[0]} is {there} there and "
-        f"{here} here); start from a run with the same observations, actions, algo.model, algo.policies and "
-        "algo.agent_id"
+        f"start.run: the policies of {folder.name} have another shape ({name} is {stored[name]} there and "
+        f"{expected[name]} here); start from a run with the same observations, actions, algo.model, "
+        "algo.policies and algo.agent_id"
     )

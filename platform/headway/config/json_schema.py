@@ -37,7 +37,7 @@ def record_schema(*record_classes: type) -> Schema:
     return {"type": "object", "additionalProperties": False, "properties": properties}
 
 
-def hint_schema(hint: Any) -> Schema:  # noqa: ANN401 - any annotation
+def hint_schema(hint: object) -> Schema:
     """Return the schema of the values of an annotation."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):

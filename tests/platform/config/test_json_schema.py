@@ -38,7 +38,9 @@ class _Outer:
     ],
     ids=str,
 )
-def test_values_are_accepted_as_records_take_them(hint: Any, accepted: list[Any], refused: list[Any]) -> None:  # noqa: ANN401
+def test_values_are_accepted_as_records_take_them(
+    hint: object, accepted: list[object], refused: list[object]
+) -> None:
     schema = Draft7Validator(hint_schema(hint))
     assert [value for value in accepted if not schema.is_valid(value)] == []
     assert [value for value in refused if schema.is_valid(value)] == []
