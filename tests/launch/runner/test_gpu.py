@@ -36,3 +36,15 @@ def test_a_session_trains_a_stack_of_seeds_on_a_gpu_and_resumes_it(backend: str,
     assert run(["resume", *(row.run_id for row in runs)]) == 0
     again = [json.loads(summary.read_text()) for summary in summaries]
     assert [summary["final_reward"] for summary in again] == [summary["final_reward"] for summary in first]
+
+
+def test_what_a_gpu_imitated_and_trained_is_the_start_of_another_run_and_is_evaluated(
+    empty_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    by_rule = ["start.rule=optimal", "start.env_steps=640", "env_steps=704"]
+    assert run(["run", *TINY, *by_rule, "backend=serial"]) == 0
+    (parent,) = RunIndex(Path(StoreConfig().root)).rows()
+    assert run(["run", *TINY, f"start.run={parent.run_id}", "backend=serial", "study=next"]) == 0
+    capsys.readouterr()
+    assert run(["evaluate", parent.run_id, "--episodes", "2"]) == 0
+    assert "return" in capsys.readouterr().out
