@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
+from headway_launch.commands.evaluate import OTHER_EPISODES, add_best_argument
 from headway_launch.commands.run import add_config_dir_argument
 from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
 
@@ -25,11 +26,14 @@ EXAMPLES = """\
 examples:
   headway compare bus --episodes 200
   headway compare bus --episodes 200 --against always_move --metrics return,mean_wait_min,headway_cv
+  headway compare bus --best
   headway compare bus --rules always_move,headway_holding_0.9 --where preset=bus_tuned
   headway compare env=bus env.args.scenario=corridor --episodes 20        rules alone, without training
   headway compare experiment=intersection_study --against human --metrics outflow_vph,collisions
 
-The newest policy of every finished seed and every rule are evaluated on the same episodes. Differences are
+The newest policy of every finished seed and every rule are evaluated on the same episodes; with --best, each
+seed's policy is the one with the highest mean return in the evaluations during its training, whose episodes
+are others (unless --seed is evaluation.seed). Differences are
 controller minus reference, paired by episode, with 95% intervals by Student's t: over episodes for a rule or
 a cell with one seed, over training seeds and episodes for a cell with several. The default reference is the
 rule with the highest mean return. `headway list metrics ENVIRONMENT` describes the metrics.
@@ -48,9 +52,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--episodes", type=int, default=100, help="evaluation episodes (default: 100)")
     parser.add_argument(
-        "--seed", type=int, default=2_000_003, help="root of the episode seeds (default: 2000003)"
+        "--seed",
+        type=int,
+        default=OTHER_EPISODES,
+        help=f"root of the episode seeds (default: {OTHER_EPISODES})",
     )
     parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy", help="how policies act")
+    add_best_argument(parser)
     parser.add_argument("--rules", help="rules to evaluate, comma-separated (default: all that can run)")
     parser.add_argument("--against", help="reference rule (default: the best one)")
     parser.add_argument(
@@ -67,7 +75,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.console.tables import print_table
     from headway_launch.experiments.start_line import start_line
-    from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
+    from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
     from headway_launch.runner.comparison import (
         EPISODES_FOR_A_CLAIM,
         SEEDS_FOR_A_CLAIM,
@@ -96,7 +104,10 @@ def execute(arguments: argparse.Namespace) -> int:
         names = (*rules_to_play(found, arguments.against, "--against"), *names)
     metrics = _metrics(arguments.metrics, ("length", "return", *found.spec.metrics))
     compile_kernels(experiment.env)
-    policies = {label: [newest_policy(run, found) for run in members] for label, members in cells.items()}
+    policies = {
+        label: [stored_policy(run, found, arguments.best) for run in members]
+        for label, members in cells.items()
+    }
     root, episodes, greedy = arguments.seed, arguments.episodes, arguments.mode == "greedy"
     players = len(names) + sum(map(len, policies.values()))
     with CountedProgress("episodes played", players * episodes) as progress:
@@ -133,7 +144,8 @@ def execute(arguments: argparse.Namespace) -> int:
         "95% high",
         "interval",
     )
-    mode = f", {arguments.mode}" if cells else ""
+    which = ", best policies" if arguments.best else ""
+    mode = f", {arguments.mode}{which}" if cells else ""
     print_table(columns, rows, title=f"{subject.name}: {episodes} episodes of {found.spec.name}{mode}")
     for label, members in cells.items():
         folders = [run.directory for run in members]
@@ -165,6 +177,8 @@ def _subject(arguments: argparse.Namespace) -> _Subject:
     if "=" in arguments.study:
         words = [arguments.study, *arguments.overrides]
         _require_for_rules(words)
+        if arguments.best:
+            raise HeadwayError("--best has no effect if rules are compared alone; omit it, or name a study")
         return _Subject(" ".join(words), compose(words), {})
     if arguments.overrides:
         raise HeadwayError(

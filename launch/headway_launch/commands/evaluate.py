@@ -10,6 +10,7 @@ examples:
   headway evaluate s0-20260101-1200                any unique part of a run's name
   headway evaluate RUN --episodes 100 --seed 5     other episodes
   headway evaluate RUN env.args.scenario=corridor  the same policy elsewhere (zero-shot transfer)
+  headway evaluate RUN --best                      the best policy of the training instead of the newest
   headway evaluate RUN --mode sampled --rules always_move,headway_holding_0.9
 
 env.args.KEY=VALUE changes the environment for the policy and the rules alike; observations and actions must
@@ -17,6 +18,17 @@ keep their shapes. Differences are of the return, policy minus rule, paired by e
 over episodes.
 `headway list metrics ENVIRONMENT` describes the other metrics.
 """
+OTHER_EPISODES = 2_000_003
+"""Root of the seeds of episodes that decide nothing during training."""
+
+
+def add_best_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --best, shared by the commands that load policies."""
+    parser.add_argument(
+        "--best",
+        action="store_true",
+        help="the policy with the highest mean return in its training's evaluations (default: the newest)",
+    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,8 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy", help="how the policy acts")
     parser.add_argument(
-        "--seed", type=int, help="root of the episode seeds (default: the run's evaluation.seed)"
+        "--seed",
+        type=int,
+        help=f"root of the episode seeds (default: the run's evaluation.seed; with --best {OTHER_EPISODES})",
     )
+    add_best_argument(parser)
     parser.add_argument("--rules", help="rules to evaluate, comma-separated (default: all that can run)")
     add_store_argument(parser)
 
@@ -47,7 +62,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.experiments.compose import resolve
     from headway_launch.experiments.env_args import with_env_args
-    from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
+    from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
     from headway_launch.runner.comparison import counting, print_comparison, rule_episodes, rules_to_play
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.runner.warm_up import compile_kernels
@@ -57,14 +72,16 @@ def execute(arguments: argparse.Namespace) -> int:
     experiment = resolve(mapping)
     evaluation = experiment.config.evaluation
     episodes = evaluation.last_episodes if arguments.episodes is None else arguments.episodes
-    root = evaluation.seed if arguments.seed is None else arguments.seed
+    # The best policy was chosen by the episodes of evaluation.seed: on these its return is too high.
+    usual = OTHER_EPISODES if arguments.best else evaluation.seed
+    root = usual if arguments.seed is None else arguments.seed
     if episodes < 1 or root < 0:
         raise HeadwayError("--episodes must be at least 1 and --seed at least 0")
     found = experiment.prepare()
     rules = rules_to_play(found, arguments.rules)
     compile_kernels(experiment.env)
     try:
-        policy = newest_policy(run, found)
+        policy = stored_policy(run, found, arguments.best)
     except UnfitPolicyError as error:
         if not changes:
             raise
@@ -75,6 +92,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if changes:
         print_line(f"headway: evaluated on a changed environment: {'; '.join(changes)}")
     name = f"{experiment.algo_name} {arguments.mode}"
+    if arguments.best:
+        name = f"{name}, best policy (iteration {policy.iteration})"
     with CountedProgress("episodes played", (1 + len(rules)) * episodes) as progress:
         greedy, count = arguments.mode == "greedy", counting(progress, name)
         learned = policy_episodes(policy, root, episodes, greedy, count)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import EnvironmentRaisedError, HeadwayError
+from headway_launch.commands.evaluate import add_best_argument
 from headway_launch.commands.runs import add_store_argument, existing_store
 from headway_launch.console.output_files import require_writable
 
@@ -25,7 +26,7 @@ EXAMPLES = """\
 examples:
   headway export s0-20260101-1200                                any unique part of a run's name
   headway export RUN --format onnx --output policy.onnx
-  headway export RUN --format torchscript
+  headway export RUN --format torchscript --best
 
 `headway.api.load_policy` reads .npz, which needs numpy only, and .onnx. Before it is written, the file is
 compared with what rollout workers compute; a difference is an error. docs/howto/policies.md explains its
@@ -39,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", metavar="RUN", help="name of the run, as in `headway runs`")
     parser.add_argument("--format", default="npz", help="npz, onnx or torchscript (default: npz)")
     parser.add_argument("--output", help="file to write (default: RUN.npz, RUN.onnx or RUN.pt)")
+    add_best_argument(parser)
     add_store_argument(parser)
 
 
@@ -60,7 +62,7 @@ def execute(arguments: argparse.Namespace) -> int:
             f"--output: {output} must end in {suffix}, the suffix of --format {arguments.format}"
         )
     require_writable("--output", output, output.parent)
-    trained = TrainedRun.read(run.directory)
+    trained = TrainedRun.read(run.directory, arguments.best)
     for line in trained.notices:
         print_line(f"headway: {line}")
     environment, reason = _environment(run, trained.spec)

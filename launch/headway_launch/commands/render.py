@@ -161,11 +161,11 @@ class _Player:
 def _player(arguments: argparse.Namespace) -> _Player:
     if arguments.rule is None:
         from headway.rollout.policy_player import PolicyPlayer
-        from headway_launch.runner.checkpointed_policy import newest_policy
+        from headway_launch.runner.checkpointed_policy import stored_policy
 
         run = _run(arguments)
         found = run.experiment.prepare()
-        policy = newest_policy(run, found)
+        policy = stored_policy(run, found)
         acting = PolicyPlayer(policy.plan, 1, 1)
         root = run.experiment.config.evaluation.seed
         return _Player(

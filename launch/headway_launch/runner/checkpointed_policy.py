@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from headway.events import Row
 from headway.rollout.episodes import EvaluationRequest, OnStep, evaluate_policy, ignore_step
 from headway.rollout.plan import RolloutPlan
-from headway.store.checkpoint import newest_parameters
+from headway.store.checkpoint import stored_parameters
 from headway_launch.console.output import prints_to_stderr
 from headway_launch.experiments.compose import PreparedEnv
 from headway_launch.runner.stored_run import StoredRun
@@ -27,18 +27,19 @@ class TrainedPolicy:
     iteration: int
 
 
-def newest_policy(run: StoredRun, environment: PreparedEnv) -> TrainedPolicy:
+def stored_policy(run: StoredRun, environment: PreparedEnv, best: bool = False) -> TrainedPolicy:
     """Return the policies in the newest complete checkpoint of a run, for playing in `environment`.
 
-    `environment` is the run's own, or one with the same `Experiment.evaluated_env`. Raises HeadwayError if
+    `environment` is the run's own, or one with the same `Experiment.evaluated_env`. `best`: the policies at
+    the evaluation with the highest return instead of the newest. Raises HeadwayError if
     there is no checkpoint, or if it does not fit the environment's observations and actions or is not finite.
     """
     experiment, rollout = run.experiment, run.experiment.config.rollout
     spec = run.policy_spec(environment)
     policy = experiment.algo.acting_policy(experiment.algo_config, spec)
     env, seed = environment.entry, run.record.seed
-    iteration, parameters, notices = newest_parameters(
-        run.directory, policy, seed, run.plan.stack, experiment.config.env.id
+    iteration, parameters, notices = stored_parameters(
+        run.directory, policy, seed, run.plan.stack, experiment.config.env.id, best
     )
     for line in notices:
         print(f"headway: {line}", file=sys.stderr)

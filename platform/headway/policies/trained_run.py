@@ -13,7 +13,7 @@ from headway.contracts import DescribedPolicy, EnvSpec, HeadwayError
 from headway.environments import chosen_env
 from headway.policies.description import Arrays, PolicyDescription
 from headway.policies.stored_spec import spec_of
-from headway.store.checkpoint import newest_parameters
+from headway.store.checkpoint import stored_parameters
 from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import RunRecord
 from headway.store.run_plan import PLAN, RunPlan
@@ -24,7 +24,7 @@ _STORED_NAMES = {"gru_weight_hidden": "gru_weight_memory", "gru_bias_hidden": "g
 
 @dataclass(frozen=True)
 class TrainedRun:
-    """The newest policy of a run."""
+    """The newest policy of a run, or its best."""
 
     description: PolicyDescription
     arrays: Arrays
@@ -39,9 +39,10 @@ class TrainedRun:
     """A line about each broken checkpoint that was skipped."""
 
     @classmethod
-    def read(cls, folder: Path) -> "TrainedRun":
+    def read(cls, folder: Path, best: bool = False) -> "TrainedRun":
         """Read the newest checkpoint of the run in `folder`.
 
+        `best`: the policy at the evaluation with the highest return instead of the newest.
         The environment is prepared only for runs of earlier versions, which did not store its specification.
         Raises HeadwayError if the folder is not a run's or is incomplete, if it has no valid checkpoint, or
         if the algorithm's policy does not describe itself.
@@ -63,7 +64,9 @@ class TrainedRun:
                 f"policies of {record.algorithm} cannot be exported: its acting policy does not describe its "
                 "network, as headway.api.DescribedPolicy does"
             )
-        iteration, parameters, notices = newest_parameters(folder, acting, record.seed, plan.stack, env.id)
+        iteration, parameters, notices = stored_parameters(
+            folder, acting, record.seed, plan.stack, env.id, best
+        )
         arrays = {name: parameters[_STORED_NAMES.get(name, name)] for name in acting.network.array_names}
         description = PolicyDescription(
             spec.agents,

@@ -158,18 +158,27 @@ def require_same_shapes(
             raise HeadwayError(f"a checkpoint of run {run.name} is damaged: its {name} is of type {kind}")
 
 
-def newest_parameters(
-    run: Path, policy: ActingPolicy, seed: int, stack: Sequence[int], environment: str
+def stored_parameters(
+    run: Path, policy: ActingPolicy, seed: int, stack: Sequence[int], environment: str, best: bool = False
 ) -> tuple[int, Parameters, tuple[str, ...]]:
     """Return (iteration, acting parameters of `seed`, notices) of a run's newest valid checkpoint.
 
-    `run` is the run's folder, `stack` the seeds in its checkpoints. Notices are those of `load_latest`.
-    Raises HeadwayError if there is no valid checkpoint, or if it does not fit `policy` or is not finite.
+    `run` is the run's folder, `stack` the seeds in its checkpoints. `best`: the parameters at the evaluation
+    with the highest return instead of the newest. Notices are those of `load_latest`. Raises HeadwayError if
+    there is no valid checkpoint, or if it does not fit `policy` or is not finite.
     """
     iteration, state, notices = load_latest(run / CHECKPOINTS)
-    replicas = len(stack)
+    place, replicas = stack.index(seed), len(stack)
+    if best:
+        state = state.get("best", {})
+        iteration = int(state["iterations"][place]) if state else -1
+        if iteration < 0:
+            raise HeadwayError(
+                f"the checkpoints of run {run.name} do not hold its best policies: it was trained with an "
+                "earlier version, or every evaluation returned NaN; take the newest ones, or train it again"
+            )
     require_same_shapes(state["acting"], policy, replicas, environment, run)
-    own = {name: np.split(np.asarray(a), replicas)[stack.index(seed)] for name, a in state["acting"].items()}
+    own = {name: np.split(np.asarray(a), replicas)[place] for name, a in state["acting"].items()}
     for name, array in own.items():
         if not np.isfinite(array).all():
             raise HeadwayError(f"run {run.name} diverged: its policy's {name} is not finite")

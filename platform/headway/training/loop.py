@@ -49,6 +49,7 @@ from headway.store.checkpoint import (
 )
 from headway.store.parquet_log import RunLog
 from headway.store.run_folder import CHECKPOINTS
+from headway.training.best_policies import BestPolicies
 from headway.training.modes import AsynchronousMode, Mode, SynchronousMode
 
 
@@ -143,6 +144,7 @@ class _Training:
                 "headway.contracts.StartingLearner; add the missing methods, or leave out start"
             )
         self.backend, self.mode = _open_mode(job, self.learner, lambda line: report(Notice(line)))
+        self.best = BestPolicies(len(job.seeds))
         self.iteration = 0
         """Iterations finished."""
         self.saved_iteration = -1
@@ -227,7 +229,10 @@ class _Training:
         return [{**label, **row} for row in rows]
 
     def _evaluate(self, final: bool) -> list[dict[str, float | int | str]]:
-        """Evaluate in every mode, log the episodes and report; return one row of means per seed."""
+        """Evaluate in every mode, log the episodes and report; return one row of means per seed.
+
+        The first mode decides which policies are the best so far.
+        """
         evaluation, parameters = self.config.evaluation, self.learner.acting_parameters()
         count = evaluation.last_episodes if final else evaluation.episodes
         means: list[dict[str, float | int | str]] = [{} for _ in self.job.seeds]
@@ -241,6 +246,8 @@ class _Training:
                 mode_means = _episode_means(f"evaluation_{mode}", played[: evaluation.episodes])
                 mean.update(mode_means)
                 returns.append(float(mode_means[f"evaluation_{mode}/return"]))
+            if mode == evaluation.modes[0]:
+                self.best.offer(returns, self.iteration, parameters)
             shown = float(np.mean(returns))
             self.report(EvaluationFinished(self.iteration, self.env_steps, mode, final, self._usage(), shown))
         return means
@@ -274,6 +281,7 @@ class _Training:
         state = {
             "learner": self.learner.state_dict(),
             "acting": self.learner.acting_parameters(),
+            "best": self.best.state_dict(),
             "snapshots": self.backend.snapshot(),
             "iteration": self.iteration,
             "seconds": self._wall_s(),
@@ -311,6 +319,8 @@ class _Training:
         self.iteration = self.saved_iteration = iteration
         self.seconds_before = state["seconds"]
         self.learner.load_state_dict(state["learner"])
+        if "best" in state:  # checkpoints of earlier versions have none
+            self.best.load_state_dict(state["best"])
         if isinstance(self.learner, LearnerWithReplay) and state["replay"] is not None:
             self.learner.load_replay_state(state["replay"])
         if not self.mode.deterministic:

@@ -16,7 +16,7 @@ from headway.policies import files
 from headway.policies.description import Arrays, PolicyDescription
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import Experiment, HeadwayError, resolve
-from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
+from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
 from headway_launch.runner.stored_run import StoredRun
 
 GUIDE = Path(__file__).resolve().parents[3] / "docs" / "howto" / "policies.md"
@@ -66,7 +66,7 @@ def test_a_file_alone_has_the_mean_return_of_evaluate(
     assert captured.out == "policy.npz\n"
     assert "observations of the training environment" in captured.err
     policy, stored = load_policy("policy.npz"), StoredRun.read(tmp_path / "runs", folder)
-    rows = policy_episodes(newest_policy(stored, stored.experiment.prepare()), SEED, EPISODES, True)
+    rows = policy_episodes(stored_policy(stored, stored.experiment.prepare()), SEED, EPISODES, True)
     expected = float(np.mean([float(row["return"]) for row in rows]))
     assert mean_return(policy, made(policy.origin)) == pytest.approx(expected, abs=1e-3, rel=1e-4)
 
@@ -88,7 +88,7 @@ def test_the_example_of_the_guide_runs(tmp_path: Path, capsys: pytest.CaptureFix
     capsys.readouterr()
     exec(program, {})
     stored = StoredRun.read(tmp_path / "runs", folder)
-    rows = policy_episodes(newest_policy(stored, stored.experiment.prepare()), SEED, 2, True)
+    rows = policy_episodes(stored_policy(stored, stored.experiment.prepare()), SEED, 2, True)
     printed = float(capsys.readouterr().out.removeprefix("mean return "))
     assert printed == pytest.approx(np.mean([float(row["return"]) for row in rows]), abs=1e-3, rel=1e-4)
 

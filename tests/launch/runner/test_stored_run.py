@@ -7,15 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_lines import Refused, RowsOf
 from small_runs import SMALL, end_as
 
+from headway.api import load_policy
 from headway.contracts import Box, EnvSpec, HeadwayError
 from headway.store.checkpoint import load_latest, save_checkpoint
 from headway.store.parquet_log import read_rows
 from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.commands.main import run
-from headway_launch.runner.checkpointed_policy import newest_policy, policy_episodes
+from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
 from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
 
 TINY = (
@@ -67,7 +69,7 @@ def test_a_run_of_an_earlier_version_acts_in_the_units_it_was_trained_in() -> No
         assert run(list(TINY)) == 0
     stored = _only_run()
     environment, returns = stored.experiment.prepare(), _returns(stored)
-    policy = newest_policy(stored, environment)
+    policy = stored_policy(stored, environment)
     assert policy.plan.spec.action_space == Box((-2.0, -2.0), (2.0, 2.0))
     root = stored.experiment.config.evaluation.seed
     assert [row["return"] for row in policy_episodes(policy, root, 2, greedy=True)] == returns
@@ -83,7 +85,7 @@ def test_a_run_of_an_earlier_version_acts_in_the_units_it_was_trained_in() -> No
 def test_a_run_acts_in_scaled_units_and_a_study_keeps_one_kind(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(list(TINY)) == 0
     stored = _only_run()
-    policy = newest_policy(stored, stored.experiment.prepare())
+    policy = stored_policy(stored, stored.experiment.prepare())
     assert policy.plan.spec.action_space == Box((-1.0, -1.0), (1.0, 1.0))
     root = stored.experiment.config.evaluation.seed
     assert [row["return"] for row in policy_episodes(policy, root, 2, greedy=True)] == _returns(stored)
@@ -91,6 +93,38 @@ def test_a_run_acts_in_scaled_units_and_a_study_keeps_one_kind(capsys: pytest.Ca
         pass
     assert run(["sweep", *TINY[1:], "seed=0,1"]) == 2
     assert "set study to another name to train all anew" in capsys.readouterr().err
+
+
+def test_the_best_policy_is_played_and_exported_in_the_place_of_the_newest(
+    capsys: pytest.CaptureFixture[str], rows_of: RowsOf, refused: Refused
+) -> None:
+    """The best policies are replaced by others than the newest, so that what is taken shows."""
+    assert run(list(TINY)) == 0
+    stored = _only_run()
+    newest, state, _ = load_latest(stored.directory / CHECKPOINTS)
+    state["best"]["iterations"][:] = 2
+    for array in state["best"]["acting"].values():
+        array += 0.25
+    save_checkpoint(stored.directory / CHECKPOINTS, newest, state)
+    environment, name = stored.experiment.prepare(), stored.record.run_id
+    best = stored_policy(stored, environment, best=True)
+    assert best.iteration == 2
+    mean = np.mean([float(row["return"]) for row in policy_episodes(best, 2_000_003, 3, greedy=True)])
+    others = policy_episodes(stored_policy(stored, environment), 2_000_003, 3, greedy=True)
+    assert abs(mean - np.mean([float(row["return"]) for row in others])) > 1e-3
+
+    evaluated = rows_of("evaluate", name, "--best", "--episodes", "3", "--rules", "random")
+    assert evaluated[1][0].endswith("greedy, best policy (iteration 2)")
+    assert float(evaluated[1][evaluated[0].index("return")]) == pytest.approx(mean, rel=1e-4)
+    compared = rows_of("compare", stored.record.study, "--best", "--episodes", "3", "--rules", "random")
+    assert float(compared[2][compared[0].index("mean")]) == pytest.approx(mean, rel=1e-4)
+    assert run(["export", name, "--best", "--output", "best.npz"]) == 0
+    by_file, by_folder = load_policy("best.npz"), load_policy(stored.directory, best=True)
+    assert by_file.origin["iteration"] == by_folder.origin["iteration"] == 2
+    assert load_policy(stored.directory).origin["iteration"] == newest
+    assert "--best has no effect if rules" in refused("compare", "env=tracking", "--best")
+    with pytest.raises(HeadwayError, match="a file holds one policy"):
+        load_policy("best.npz", best=True)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -108,7 +142,7 @@ def test_a_policy_that_is_not_finite_is_refused_and_that_of_another_seed_is_not(
         array[-1].flat[0] = value
         save_checkpoint(stored.directory / CHECKPOINTS, iteration, state)
     environment = runs[0].experiment.prepare()
-    newest_policy(runs[0], environment)
+    stored_policy(runs[0], environment)
     problem = f"run {runs[1].record.run_id} diverged: its policy's {name} is not finite"
     with pytest.raises(HeadwayError, match=problem):
-        newest_policy(runs[1], environment)
+        stored_policy(runs[1], environment)
