@@ -98,7 +98,7 @@ def test_replay_buffers_are_filled_while_exploration_waits(fabricate: Fabricate)
     """Exploration falls from 1 with the share of training, not of the rule's iterations."""
     learner = _learner("madqn", SPEC, (3,), learning_starts=10_000)
     for iteration in (1, 2, 3):
-        metrics = learner.imitate(fabricate(SPEC, 64, 4, seed=iteration), iteration, iteration / 4)
+        metrics = learner.imitate(fabricate(SPEC, 64, 4, seed=iteration), iteration, 3)
     assert metrics["memory/transitions"][0] > 300
     assert learner.acting_parameters()["exploration"].item() == 1.0
     learner.update(fabricate(SPEC, 64, 4, seed=9), 4, 0.3)

@@ -115,7 +115,7 @@ class OffPolicyLearner(PolicyStack):
         }
 
     def imitate(
-        self, trajectory: Trajectory, iteration: int, progress: float
+        self, trajectory: Trajectory, iteration: int, iterations: int
     ) -> dict[str, NDArray[np.float64]]:
         """Store the rule's transitions and learn from them, with all schedules at their start."""
         return self.update(trajectory, iteration, 0.0)

@@ -16,8 +16,12 @@ from headway_algos.on_policy.updates.config import GradientUpdateConfig
 from headway_algos.on_policy.updates.gradient_update import GradientUpdate
 from headway_algos.on_policy.updates.losses import A2CLoss
 
-LR, EPOCHS, MINIBATCHES = 3e-3, 16, 8
-"""Adam's learning rate, and passes over an iteration's rows in so many minibatches each."""
+LR = 3e-3
+"""Adam's learning rate at the start of the imitation."""
+BATCH, STEPS, MAX_EPOCHS = 1_000, 2_000, 50
+"""Rows of a minibatch, and about how many minibatches are learned from, unless that took more epochs."""
+EPOCHS_PER_ITERATION, MINIBATCHES_PER_EPOCH = 16, 8
+"""For recurrent policies."""
 ENTROPY_COEFF = 0.3
 """Weight of the entropy, without which a policy that imitates a deterministic rule no longer explores: with
 two actions the probability of the rule's tends to 0.97 instead of 1."""
@@ -29,27 +33,79 @@ def imitate(
     config: AlgoConfig,
     layout: Layout,
     generators: Sequence[np.random.Generator],
+) -> dict[str, Tensor]:
+    """Raise the likelihood of the actions in `rows`, the decisions of many iterations, until it settles.
+
+    The learning rate falls to 0 over the epochs. Returns metrics (P,) of the last one, NaN for policies
+    without rows. A Gaussian's spread is kept for exploration.
+    """
+    if not rows.selected.any():
+        return {}
+    minibatches = -(-rows.selected.shape[1] // BATCH)
+    epochs = min(MAX_EPOCHS, -(-STEPS // minibatches))
+    learned, update = _update(actor, config, layout, 1, minibatches)
+    info: dict[str, Tensor] = {}
+    for epoch in range(epochs):
+        update.anneal(1 - epoch / epochs)
+        info = update.improve(rows, torch.ones_like(rows.log_probs), generators)
+    _take_over(actor, learned)
+    return info
+
+
+def imitate_sequences(
+    actor: Actor,
+    rows: PolicyBatch,
+    config: AlgoConfig,
+    layout: Layout,
+    generators: Sequence[np.random.Generator],
     share: float,
 ) -> dict[str, Tensor]:
-    """Raise the likelihood of the actions in `rows`; return metrics (P,), NaN for policies without rows.
+    """As `imitate`, for recurrent policies: learn from one iteration's rows, as sequences.
 
-    Adam starts anew with every call, and a Gaussian's spread is kept for exploration, so that nothing is
-    carried from one call to the next but the networks. `share`, of the learning rate, should fall from call
-    to call: an iteration may show one part of an episode only, which the next would overwrite.
+    Adam starts anew with every call, so that nothing is carried from one call to the next but the networks.
+    `share`, of the learning rate, should fall from call to call: an iteration may show one part of an episode
+    only, which the next would overwrite.
     """
-    # A copy, since the update that learns afterwards has the actor's parameters in its own optimiser.
-    learned = actor.narrow(torch.arange(len(rows.selected), device=layout.device))
+    learned, update = _update(actor, config, layout, EPOCHS_PER_ITERATION, MINIBATCHES_PER_EPOCH)
+    update.anneal(share)
+    info = update.improve(rows, torch.ones_like(rows.log_probs), generators)
+    _take_over(actor, learned)
+    return info
+
+
+def _update(
+    actor: Actor, config: AlgoConfig, layout: Layout, epochs: int, minibatches: int
+) -> tuple[Actor, GradientUpdate]:
+    """Return a copy of the actor and the update that trains it.
+
+    A copy, since the update that learns afterwards has the actor's parameters in its own optimiser.
+    """
+    policies = layout.replicas * layout.grouping.num_policies
+    learned = actor.narrow(torch.arange(policies, device=layout.device))
     settings = GradientUpdateConfig(
-        model=config.model, lr=LR * share, grad_clip=None, piece_samples=config.piece_samples
+        model=config.model, lr=LR, grad_clip=None, piece_samples=config.piece_samples
     )
     # With advantages of 1 A2C's loss is the negative log-likelihood.
-    update = GradientUpdate(learned, settings, layout, A2CLoss(ENTROPY_COEFF), EPOCHS, MINIBATCHES)
-    rows = replace(rows, selected=rows.selected & _allowed(rows, actor.nvec))
-    info = update.improve(rows, torch.ones_like(rows.log_probs), generators)
+    return learned, GradientUpdate(learned, settings, layout, A2CLoss(ENTROPY_COEFF), epochs, minibatches)
+
+
+def _take_over(actor: Actor, learned: Actor) -> None:
     with torch.no_grad():
         for own, found in zip(actor.network.parameters(), learned.network.parameters(), strict=True):
             own.copy_(found)
-    return info
+
+
+def decisions(rows: PolicyBatch, nvec: Sequence[int]) -> PolicyBatch:
+    """Return rows of which only those are selected from which a policy can learn the rule's choice.
+
+    The mask allows the action, since a rule may choose what the environment overrides, and another one too.
+    """
+    if rows.masks is None:
+        return rows
+    chosen = rows.selected & _allowed(rows, nvec)
+    sizes = list(nvec) or [rows.masks.shape[2]]
+    several = (torch.stack([part.sum(2) for part in rows.masks.split(sizes, 2)]) > 1).any(0)
+    return replace(rows, selected=chosen & several.cpu().numpy())
 
 
 def _allowed(rows: PolicyBatch, nvec: Sequence[int]) -> NDArray[np.bool_]:

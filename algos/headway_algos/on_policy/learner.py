@@ -27,7 +27,8 @@ from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
 from headway_algos.on_policy.critics import Critic
-from headway_algos.on_policy.imitation import imitate
+from headway_algos.on_policy.imitation import decisions, imitate, imitate_sequences
+from headway_algos.on_policy.rule_decisions import RuleDecisions
 from headway_algos.on_policy.updates import Update
 
 _NETWORKS = ("networks", "target")
@@ -89,6 +90,7 @@ class OnPolicyLearner(PolicyStack):
         # Observations of the trajectory include the indices already.
         acting = acting_policy(replace(config, agent_id=False), spec)
         self.behaviour = BehaviourPolicy(config, self.actor, acting, self.layout)
+        self.rule_decisions = RuleDecisions(len(seeds) * policies)
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
         """Return the actor's tensors and normaliser, as named by the acting policy."""
@@ -109,14 +111,18 @@ class OnPolicyLearner(PolicyStack):
         return metrics
 
     def imitate(
-        self, trajectory: Trajectory, iteration: int, progress: float
+        self, trajectory: Trajectory, iteration: int, iterations: int
     ) -> dict[str, NDArray[np.float64]]:
-        """Raise the likelihood of the actions, and train the critic on their returns."""
+        """Train the critic on the rule's returns; let the policies learn its decisions.
+
+        Recurrent policies learn from each iteration, all others from a sample of all, in the last one.
+        """
         trajectory = self._drop_unused_slots(trajectory_with_ids(trajectory, self.agent_ids))
         self.critic.anneal(self.step_scale)
         # First, so that policies learn on observations that are normalised as in the next iteration.
         self.include_observations(self.actor.moments, trajectory)
-        metrics = self._learn(trajectory, iteration, partial(self._imitate, share=1 - progress))
+        improve = partial(self._imitate, trajectory, iterations)
+        metrics = self._learn(trajectory, iteration, improve)
         raise_if_diverged(self, self.acting_parameters(), f"{self.unit} {iteration}")
         return metrics
 
@@ -202,11 +208,30 @@ class OnPolicyLearner(PolicyStack):
         return improve(self.policy_update, self.grouping, rows, advantages, generators, order_generators)
 
     def _imitate(
-        self, rows: PolicyBatch, advantages: Tensor, iteration: int, share: float
+        self, trajectory: Trajectory, iterations: int, rows: PolicyBatch, advantages: Tensor, iteration: int
     ) -> dict[str, Tensor]:
-        """Imitate the actions, with `share` of the learning rate."""
         generators = self.generators("actor minibatch", iteration)
-        return imitate(self.actor, rows, self.config, self.layout, generators, share)
+        rows, parts = decisions(rows, self.actor.nvec), (self.config, self.layout, generators)
+        if rows.sequences is not None:
+            share = 1 - (iteration - 1) / iterations
+            return imitate_sequences(self.actor, rows, *parts, share)
+        observed = self.layout.rows(trajectory.observations[:-1], trajectory.alive[:-1])
+        self.rule_decisions.include(replace(rows, observations=observed), generators)
+        if iteration < iterations:
+            return {}
+        moments = self.actor.moments if self.config.normalise_observations else None
+        sample = self.rule_decisions.rows(moments, self.device)
+        self.rule_decisions = RuleDecisions(len(rows.selected))
+        return imitate(self.actor, sample, *parts)
+
+    def replay_state(self) -> dict[str, Any] | None:
+        """Return the rule's decisions that are kept for imitation; None if there are none."""
+        kept = self.rule_decisions.state()
+        return {"rule_decisions": kept} if any(kept) else None
+
+    def load_replay_state(self, state: dict[str, Any]) -> None:
+        """Go on with the result of `replay_state`."""
+        self.rule_decisions.load_state(state["rule_decisions"])
 
     def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
         """Implement `headway.contracts.StartingLearner.start_from`."""

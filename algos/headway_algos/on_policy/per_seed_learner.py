@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import StartingLearner, Trajectory
+from headway.contracts import LearnerWithReplay, StartingLearner, Trajectory
 from headway_algos.batches.nested_states import map_tensors
 
-Learn = Callable[[Trajectory, int, float], dict[str, NDArray[np.float64]]]
+Learn = Callable[[Trajectory, int, Any], dict[str, NDArray[np.float64]]]
 """`Learner.update` or `Learner.imitate`."""
 
 
@@ -41,20 +41,32 @@ class PerSeedLearner:
         return self._learn([learner.update for learner in self.learners], trajectory, iteration, progress)
 
     def imitate(
-        self, trajectory: Trajectory, iteration: int, progress: float
+        self, trajectory: Trajectory, iteration: int, iterations: int
     ) -> dict[str, NDArray[np.float64]]:
         """Let each learner imitate the actions of its own E copies; return their metrics, (R,) each."""
-        return self._learn([learner.imitate for learner in self.learners], trajectory, iteration, progress)
+        return self._learn([learner.imitate for learner in self.learners], trajectory, iteration, iterations)
 
     def _learn(
-        self, ways: Sequence[Learn], trajectory: Trajectory, iteration: int, progress: float
+        self, ways: Sequence[Learn], trajectory: Trajectory, iteration: int, when: float
     ) -> dict[str, NDArray[np.float64]]:
         copies = trajectory.rewards.shape[1] // len(ways)
         each = [
-            learn(trajectory.of_copies(r * copies, copies), iteration, progress)
-            for r, learn in enumerate(ways)
+            learn(trajectory.of_copies(r * copies, copies), iteration, when) for r, learn in enumerate(ways)
         ]
         return {name: np.concatenate([one[name] for one in each]) for name in each[0]}
+
+    def replay_state(self) -> dict[str, Any] | None:
+        """Return the learners' replay states, None if they have none."""
+        states = [
+            learner.replay_state() for learner in self.learners if isinstance(learner, LearnerWithReplay)
+        ]
+        return {"learners": states} if any(states) else None
+
+    def load_replay_state(self, state: dict[str, Any]) -> None:
+        """Go on with the result of `replay_state`."""
+        for learner, own in zip(self.learners, state["learners"], strict=True):
+            assert isinstance(learner, LearnerWithReplay)
+            learner.load_replay_state(own)
 
     def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
         """Let each learner start from the same policies; return the notices of one."""

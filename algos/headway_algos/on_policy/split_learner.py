@@ -56,10 +56,18 @@ class SplitLearner:
         return self.separate.update(trajectory, iteration, progress)
 
     def imitate(
-        self, trajectory: Trajectory, iteration: int, progress: float
+        self, trajectory: Trajectory, iteration: int, iterations: int
     ) -> dict[str, NDArray[np.float64]]:
         """Let the shared policy imitate the actions. A rule acts before any split."""
-        return self.shared.imitate(trajectory, iteration, progress)
+        return self.shared.imitate(trajectory, iteration, iterations)
+
+    def replay_state(self) -> dict[str, Any] | None:
+        """Return the rule's decisions that the shared policy keeps for imitation; None if there are none."""
+        return self.shared.replay_state()
+
+    def load_replay_state(self, state: dict[str, Any]) -> None:
+        """Go on with the result of `replay_state`."""
+        self.shared.load_replay_state(state)
 
     def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
         """Raise HeadwayError: another run's separate policies are no shared one."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_args
 
 from headway.contracts.checks import require, require_at_least, require_key, require_value
 
@@ -15,6 +15,11 @@ def _require_share(**values: float) -> None:
     """Raise ValueError unless every value lies between 0 and 1."""
     for name, value in values.items():
         require_key(0 <= value <= 1, name, f"must lie between 0 and 1, not {value:g}")
+
+
+ObservationName = Literal["paper", "published", "control", "network"]
+OBSERVATIONS: tuple[str, ...] = get_args(ObservationName)
+"""In the kernel an observation is its place here."""
 
 
 def _require_above(low: float, **values: float) -> None:
@@ -226,9 +231,10 @@ class BusConfig:
     recovery_share: float = 0.15
     """Recovery time after each trip in the timetable's blocks, as a share of the trip's duration; at least
     five minutes."""
-    observation: Literal["paper", "published", "control"] = "control"
+    observation: ObservationName = "control"
     """Features that an agent observes. `paper`: the four of the paper; `published`: the eight of the released
-    code; `control`: 29, all that a controller needs."""
+    code; `control`: 29, all that a controller of one line needs; `network`: 33, with those by which a policy
+    that is shared by several lines can tell them apart, such as the time of a trip."""
     state: Literal["auto", "full", "aggregate"] = "aggregate"
     """Global state for central critics. `aggregate`: features of the day and of each line; `full`: also all
     agents' observations; `auto`: `full` for up to 50 agents, else `aggregate`."""
@@ -255,8 +261,8 @@ class BusConfig:
         require_value(
             self,
             "observation",
-            self.observation in ("paper", "published", "control"),
-            "must be paper, published or control",
+            self.observation in OBSERVATIONS,
+            "must be paper, published, control or network",
         )
         require_value(
             self, "state", self.state in ("auto", "full", "aggregate"), "must be auto, full or aggregate"

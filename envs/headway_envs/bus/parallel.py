@@ -25,7 +25,7 @@ class BusParallelEnv(ParallelEnvBase):
             from headway_envs.bus.prepare import prepare
 
             prepared = prepare(config or BusConfig())
-        wide = prepared.config.observation == "control"
+        wide = prepared.config.observation in ("control", "network")
         super().__init__(
             lambda copies: BusBatchedEnv(prepared, copies),
             name="headway_bus_v0",

@@ -9,7 +9,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from headway_envs.array_env import record
-from headway_envs.bus.config import BusConfig
+from headway_envs.bus.config import OBSERVATIONS, BusConfig
 from headway_envs.bus.kernel.layout import SCOPE_LINE, SCOPE_OWN, SCOPE_TEAM, SETTINGS, Network
 
 
@@ -83,7 +83,7 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "low_occupancy": 0.6 if reward.preset == "paper" else 0.0,
         "scope": float({"team": SCOPE_TEAM, "line": SCOPE_LINE, "own": SCOPE_OWN}[reward.scope]),
         "weekday": float(config.day_type == "weekday"),
-        "observation": float(("paper", "published", "control").index(config.observation)),
+        "observation": float(OBSERVATIONS.index(config.observation)),
         "full_state": float(prepared.full_state),
     }
 

@@ -5,7 +5,6 @@ All rules but `always_move` also send buses to the service centre in time, as a 
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -110,12 +109,7 @@ def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
     bus is sent only if its fuel lasts neither to the depot nor for one more trip.
     """
     net, slots, upkeep = env.network, env.world.slots, env.prepared.config.upkeep
-    ends = net.pattern_calls[1:] - 1
-    longest, way = np.zeros(len(net.line_slots) - 1), np.zeros(len(net.line_slots) - 1)
-    for line, (begin, end) in enumerate(pairwise(net.line_patterns)):
-        longest[line] = net.nominal[ends[begin:end]].max()
-        way[line] = net.detour[net.pattern_calls[begin:end]].min()
-    trip, line_way = longest[net.slot_line], way[net.slot_line]
+    trip, line_way = net.line_trip[net.slot_line], net.line_detour[net.slot_line]
     to_drive = net.trip_work_left[slots["trip"]]
     fuel_range = slots["fuel"] * upkeep.seconds_per_fuel_unit / FUEL_MARGIN
     wear_range = (slots["uptime"] - upkeep.warning) * upkeep.uptime_hours * 3600.0

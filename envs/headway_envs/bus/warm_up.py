@@ -38,6 +38,8 @@ def tiny_network() -> Network:
         regular_waiting=np.ones((1, 4)),
         target=np.full((1, KNOTS), 600.0),
         detour=np.zeros(2),
+        line_trip=np.array([100.0]),
+        line_detour=np.zeros(1),
         queue_first=_integers(0, 200, 400),
     )
 

@@ -53,8 +53,8 @@ class LearnerWithReplay(Learner, Protocol):
     is therefore stored in a separate file, which is deleted when the run is finished.
     """
 
-    def replay_state(self) -> dict[str, Any]:
-        """Return the replay data needed, in addition to `state_dict`, to continue exactly.
+    def replay_state(self) -> dict[str, Any] | None:
+        """Return the replay data needed, in addition to `state_dict`, to continue exactly; None: none now.
 
         Its values have the types allowed there.
         """
@@ -70,12 +70,13 @@ class StartingLearner(Learner, Protocol):
     """A learner that can start from a rule or from another run."""
 
     def imitate(
-        self, trajectory: Trajectory, iteration: int, progress: float
+        self, trajectory: Trajectory, iteration: int, iterations: int
     ) -> dict[str, NDArray[np.float64]]:
         """Learn from an iteration in which a rule acted; result and errors are those of `update`.
 
-        `trajectory.actions` are the rule's, in the units of policies, and `log_probs` are 0. `progress`, in
-        [0, 1), is the share of the rule's iterations before this one.
+        `trajectory.actions` are the rule's, in the units of policies, and `log_probs` are 0. The rule acts in
+        the first `iterations`, of which `iteration` is one, counted from 1; policies must have learned after
+        the last.
         """
         ...
 

@@ -58,7 +58,7 @@ class SynchronousMode:
         trajectory = self.collector.trajectory
         if iteration <= self.rule_iterations:
             assert isinstance(self.learner, StartingLearner)
-            metrics = self.learner.imitate(trajectory, iteration, (iteration - 1) / self.rule_iterations)
+            metrics = self.learner.imitate(trajectory, iteration, self.rule_iterations)
         else:
             metrics = self.learner.update(trajectory, iteration, progress)
         return IterationResult(episodes, metrics, collected - start, time.monotonic() - collected)

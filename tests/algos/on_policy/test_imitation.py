@@ -77,7 +77,7 @@ def test_greedy_actions_become_those_of_the_rule(
     before = learner.acting_parameters()
     for iteration in range(1, 16):
         trajectory = _played_by_rule(fabricate, spec, hidden_size, iteration, 8 * len(seeds))
-        metrics = learner.imitate(trajectory, iteration, 0.0)
+        metrics = learner.imitate(trajectory, iteration, 15)
         assert all(value.shape == (len(seeds),) for value in metrics.values())
     new = fabricate(spec, 32, len(seeds), seed=99)
     masks = new.action_masks[:-1]
@@ -107,7 +107,7 @@ def _agreement(iterations: int, fabricate: Fabricate) -> float:
         made = fabricate(SPEC, 128 // iterations, 64, seed=iteration)
         made.actions[:] = _rule_actions(SPEC, made.observations[:-1], made.action_masks)
         made.observations[:] = 30 + 10 * made.observations
-        learner.imitate(made, iteration, (iteration - 1) / iterations)
+        learner.imitate(made, iteration, iterations)
     new = fabricate(SPEC, 32, 1, seed=99)
     expected = _rule_actions(SPEC, new.observations[:-1], new.action_masks)
     policy, parameters = ENTRIES["ippo"].acting_policy(config, SPEC), learner.acting_parameters()
@@ -122,15 +122,15 @@ def test_one_iteration_is_enough_whatever_the_scale_of_observations(fabricate: F
         assert _agreement(iterations, fabricate) > 0.95
 
 
-def test_steps_shrink_towards_the_end(fabricate: Fabricate) -> None:
+def test_steps_of_recurrent_policies_shrink_towards_the_end(fabricate: Fabricate) -> None:
     """Steps of Adam are proportional to the learning rate."""
     moved = []
-    for progress in (0.0, 0.99):
-        config = configure("ippo", model=MODEL, precision="float64")
+    for iteration in (1, 100):
+        config = configure("ippo", model=GRU, precision="float64")
         learner = ENTRIES["ippo"].learner(config, SPEC, (3,), "cpu")
         assert isinstance(learner, StartingLearner)
         before = learner.acting_parameters()["weight_0"].copy()
-        learner.imitate(_played_by_rule(fabricate, SPEC, 0, 1, 2), 1, progress)
+        learner.imitate(_played_by_rule(fabricate, SPEC, 8, 1, 2), iteration, 100)
         moved.append(np.abs(learner.acting_parameters()["weight_0"] - before).max())
     assert moved[1] < moved[0] / 20
 
@@ -145,7 +145,7 @@ def test_the_critic_learns_the_returns_of_the_rule(fabricate: Fabricate) -> None
         trajectory = fabricate(SPEC, 64, 8, seed=iteration, ends=1.0)
         trajectory.rewards[:] = 1
         trajectory.truncated[:], trajectory.terminated[:] = False, True
-        losses.append(learner.imitate(trajectory, iteration, 0.0)["critic/loss"][0])
+        losses.append(learner.imitate(trajectory, iteration, 10)["critic/loss"][0])
     assert losses[0] > 0.5
     assert losses[-1] < 0.05
 
@@ -157,7 +157,32 @@ def test_actions_that_the_mask_forbids_teach_nothing(fabricate: Fabricate) -> No
     trajectory = _played_by_rule(fabricate, MASKED, 0, 1, 8)
     trajectory.action_masks[:] = np.arange(3) != trajectory.actions.max()
     trajectory.actions[:] = trajectory.actions.max()
-    learner.imitate(trajectory, 1, 0.0)
+    learner.imitate(trajectory, 1, 1)
     networks = {name for name in before if "moments" not in name}
     after = tensors(learner.state_dict()["actor"])
     assert_equal({name: after[name] for name in networks}, {name: before[name] for name in networks})
+
+
+def test_choices_that_are_rare_and_come_in_one_part_of_an_episode_are_imitated(fabricate: Fabricate) -> None:
+    """The rule takes action 2 in one of 250 decisions, and only the first of ten iterations shows it."""
+    config = configure("ippo", model=MODEL)
+    learner = ENTRIES["ippo"].learner(config, SPEC, (3,), "cpu")
+    assert isinstance(learner, StartingLearner)
+
+    def rule(observations: NDArray[np.float32]) -> NDArray[np.bool_]:
+        return observations[..., 0] > 2.65  # one of 250 draws of a standard normal
+
+    for iteration in range(1, 11):
+        made = fabricate(SPEC, 64, 16, seed=iteration)
+        seen = made.observations[:-1]
+        if iteration > 1:
+            np.minimum(seen[..., 0], 2.0, out=seen[..., 0])
+        made.actions[:] = np.where(rule(seen), 2, seen[..., 1] > 0)
+        made.log_probs[:] = 0
+        learner.imitate(made, iteration, 10)
+    grid = np.stack(np.meshgrid([-1.0, 0.0, 2.4, 2.9, 3.2], [-1.0, 1.0], [0.0]), -1).reshape(-1, 3)
+    policy, parameters = ENTRIES["ippo"].acting_policy(config, SPEC), learner.acting_parameters()
+    for observed in grid.astype(np.float32):
+        both = np.tile(observed, (1, 2, 1))
+        chosen = policy.act(parameters, Observations(both, np.zeros((1, 2)), np.ones((1, 2), bool)), None)[0]
+        assert (chosen == np.where(rule(both), 2, both[..., 1] > 0)).all(), observed

@@ -177,7 +177,7 @@ def test_a_day_ends_terminated_and_the_next_begins(line: Prepared) -> None:
 
 @pytest.mark.parametrize(
     ("observation", "size", "state"),
-    [("paper", 4, "auto"), ("published", 8, "aggregate"), ("control", 29, "full")],
+    [("paper", 4, "auto"), ("published", 8, "aggregate"), ("control", 29, "full"), ("network", 33, "full")],
 )
 def test_spaces_match_the_spec(line: Prepared, observation: str, size: int, state: str) -> None:
     config = replace(line.config, observation=observation, state=state)
@@ -193,7 +193,7 @@ def test_spaces_match_the_spec(line: Prepared, observation: str, size: int, stat
         assert observed.observations.dtype == np.float32
         assert np.isfinite(observed.observations).all()
         assert np.isfinite(observed.states).all()
-        assert np.abs(observed.observations).max() <= (5 if observation == "control" else 1)
+        assert np.abs(observed.observations).max() <= (5 if observation in ("control", "network") else 1)
         assert observed.states.shape == (2, spec.state_size)
         assert np.isfinite(outcome.rewards).all()
 

@@ -10,6 +10,7 @@ from played import assert_allowed, first_episodes
 from headway.contracts import child_seeds
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.entry import ENTRY
+from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import SERVICE_CENTER, TERMINAL
 from headway_envs.bus.prepared import Prepared
 
@@ -68,3 +69,32 @@ def test_every_rule_acts_within_the_masks(line: Prepared, name: str) -> None:
         actions = rule.act(env, observed)
         assert_allowed(actions, observed)
         _, observed = env.step(actions)
+
+
+def test_the_observation_of_a_network_shows_when_the_rules_go_to_service() -> None:
+    """The rule's decision at terminals from observed numbers alone, in the units that the page on the
+    environment states; `control` lacks two of them."""
+    prepared = ENTRY.prepare(BusConfig(scenario="corridor", observation="network"))
+    env, rule = BusBatchedEnv(prepared, 1), ENTRY.rules["move_with_service"].make(prepared)
+    observed, upkeep, found = (
+        env.reset(child_seeds(3, "days", 0, 1)),
+        prepared.config.upkeep,
+        np.zeros(2, int),
+    )
+    for _ in range(prepared.config.ticks - 1):
+        actions = rule.act(env, observed)
+        at_terminal = observed.alive & (env.world.slots["phase"] == TERMINAL)
+        seen = observed.observations[at_terminal].astype(np.float64)
+        assert (seen[:, 17] == 1).all()
+        fuel_s = seen[:, 8] * upkeep.fuel_capacity * upkeep.seconds_per_fuel_unit / 1.25
+        worn_s = (seen[:, 4] - upkeep.warning) * upkeep.uptime_hours * 3600
+        trip_s, depot_s, near = seen[:, 29] * 3600, seen[:, 26] * 12 * 3600, seen[:, 32] * 300 <= 60
+        fuel_due = np.minimum(np.where(near, 2, 1) * trip_s, depot_s) - fuel_s
+        worn_due = np.where(near, np.minimum(2 * trip_s, 0.5 * depot_s) - worn_s, -np.inf)
+        due = np.maximum(fuel_due, worn_due)
+        clear = np.abs(due) > 1  # float32 rounds times of hours to milliseconds
+        goes = actions[at_terminal] == SERVICE_CENTER
+        assert ((due > 0) == goes)[clear].all()
+        found += [goes.sum(), (~goes).sum()]
+        _, observed = env.step(actions)
+    assert found.min() > 20

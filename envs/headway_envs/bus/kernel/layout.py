@@ -81,6 +81,10 @@ class Network(NamedTuple):
     """(P, K) target headway, s"""
     detour: NDArray[np.float64]
     """(Q,) driving time to the nearest service centre, one way, s"""
+    line_trip: NDArray[np.float64]
+    """(L,) nominal time of the line's longest trip, at the time of day when it takes longest, s"""
+    line_detour: NDArray[np.float64]
+    """(L,) smallest `detour` of the calls where the line's trips begin, s"""
     queue_first: NDArray[np.int64]
     """(Q + 1,) position of each call's queue in the queue storage of a copy"""
 
@@ -317,7 +321,7 @@ class Outputs(NamedTuple):
     metrics: NDArray[np.float64]
 
 
-OBSERVATION_SIZES = {"paper": 4, "published": 8, "control": 29}
+OBSERVATION_SIZES = {"paper": 4, "published": 8, "control": 29, "network": 33}
 LINE_STATE = 10
 """Number of state features per line."""
 DAY_STATE = 3

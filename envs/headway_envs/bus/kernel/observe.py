@@ -101,6 +101,17 @@ def _observe_control(net: Network, k: Record, world: World, c: int, n: int, out:
 
 
 @compiled
+def _observe_network(net: Network, k: Record, world: World, c: int, n: int, out: NDArray[np.float32]) -> None:
+    """Fill the features of `control` and, from index 29 on, those that tell lines apart."""
+    _observe_control(net, k, world, c, n, out)
+    slot, line = world.slots[c, n], net.slot_line[n]
+    out[29] = min(net.line_trip[line] / 3600.0, 5.0)
+    out[30] = min(interpolate(net.target, slot.pattern, world.days[c].now) / 1800.0, 5.0)
+    out[31] = min(net.detour[slot.call] / 1800.0, 5.0)
+    out[32] = min((net.detour[slot.call] - net.line_detour[line]) / 300.0, 5.0)
+
+
+@compiled
 def observe(
     net: Network,
     k: Record,
@@ -127,6 +138,8 @@ def observe(
         if not alive[n]:
             observations[n, :] = 0.0
             masks[n, SERVICE_CENTER] = True
+        elif k.observation == 3:
+            _observe_network(net, k, world, c, n, observations[n])
         elif k.observation == 2:
             _observe_control(net, k, world, c, n, observations[n])
         else:

@@ -67,6 +67,7 @@ def build_from_arrays(
     rates, regular = _rates(boarding, departures, nominal, pattern_calls, line_patterns, config)
     others = (1 - config.captive_share) * config.arrivals_per_boarding
     arrival_rate = rates * (config.captive_share + others)
+    detour = _detours(meta, calls, config)
     network = Network(
         line_slots=timetable["line_slots"].astype(np.int64),
         line_patterns=line_patterns,
@@ -87,7 +88,9 @@ def build_from_arrays(
         boarding_rate=rates,
         regular_waiting=regular,
         target=np.array([d.headway for d in departures]),
-        detour=_detours(meta, calls, config),
+        detour=detour,
+        line_trip=np.maximum.reduceat(nominal.max(axis=1), pattern_calls[line_patterns[:-1]]),
+        line_detour=np.minimum.reduceat(detour[pattern_calls[:-1]], line_patterns[:-1]),
         queue_first=_queue_offsets(rates, per_call, config),
     )
     # Always the same memory layout: for another one, numba would compile the kernel again.
