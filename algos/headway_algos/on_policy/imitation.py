@@ -104,7 +104,7 @@ def decisions(rows: PolicyBatch, nvec: Sequence[int]) -> PolicyBatch:
         return rows
     chosen = rows.selected & _allowed(rows, nvec)
     sizes = list(nvec) or [rows.masks.shape[2]]
-    several = (torch.stack([part.sum(2) for part in rows.masks.split(sizes, 2)]) > 1).any(0)
+    several = (torch.stack([part.sum(2) for part in torch.split(rows.masks, sizes, 2)]) > 1).any(0)
     return replace(rows, selected=chosen & several.cpu().numpy())
 
 
