@@ -53,6 +53,10 @@ class RewardConfig:
     """Only with `scope=own`: share of the follower's regularity in a bus's reward. For each bus directly
     behind it, a bus also receives this share of (the follower's c - its own c), because holding changes both
     spacings. 0: only the spacing ahead counts."""
+    scale_service: bool = False
+    """Only with `scope=own`. True: multiply q by the number of buses that the line has outside the depot. In
+    the line's reward, a bus's own c counts one part in that number and q counts whole; without the factor
+    buses learn to hold too long, the more so the more buses the line has."""
     foresee_upkeep: bool = False
     """True: charge the future cost of low fuel and wear, up to the next time at the depot, as soon as it
     becomes foreseeable, and refund it when the bus is serviced. This makes costs that lie hours ahead, beyond
@@ -78,6 +82,11 @@ class RewardConfig:
             self.follower_share == 0 or self.scope == "own",
             "follower_share",
             f"is for scope=own; with scope={self.scope} it must be 0",
+        )
+        require_key(
+            not self.scale_service or self.scope == "own",
+            "scale_service",
+            f"is for scope=own; with scope={self.scope} it must be false",
         )
         total = self.service + self.efficiency + self.maintenance + self.regularity
         require(total > 0, "at least one of the weights must be above 0")

@@ -79,6 +79,7 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "weight_regularity": reward.regularity,
         "follower_share": reward.follower_share,
         "breakdown_cost": _breakdown_cost(prepared),
+        "scale_service": float(reward.scale_service),
         "foresee_upkeep": float(reward.foresee_upkeep),
         "low_occupancy": 0.6 if reward.preset == "paper" else 0.0,
         "scope": float({"team": SCOPE_TEAM, "line": SCOPE_LINE, "own": SCOPE_OWN}[reward.scope]),

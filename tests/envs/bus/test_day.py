@@ -206,6 +206,21 @@ def test_own_rewards_differ_and_are_zero_at_the_depot(line: Prepared) -> None:
     assert len(np.unique(outcome.rewards[~depot])) > 1
 
 
+def test_scaled_service_pays_each_bus_the_lines_as_often_as_it_has_buses(line: Prepared) -> None:
+    """A line's mean over its buses, times their number, changes by that much if its q changes."""
+    alone = {"efficiency": 0.0, "maintenance": 0.0, "regularity": 0.0}
+    own = begun(BusBatchedEnv(_with_reward(line, scope="own", scale_service=True, **alone), 1))
+    whole = begun(BusBatchedEnv(_with_reward(line, scope="line", **alone), 1))
+    numbers = set()
+    for _ in range(40):
+        of_buses, of_line = (repeated(env, MOVE, 20).rewards[0] for env in (own, whole))
+        out = own.world.slots["phase"][0] != DEPOT
+        numbers.add(int(out.sum()))
+        np.testing.assert_allclose(of_buses[out], out.sum() * of_line[out], rtol=1e-5)
+        assert not of_buses[~out].any()
+    assert len(numbers) > 5
+
+
 def _with_reward(line: Prepared, **changes: object) -> Prepared:
     return replace(line, config=replace(line.config, reward=replace(line.config.reward, **changes)))
 

@@ -135,7 +135,15 @@ SETTINGS = np.dtype(
     ]
     + [
         (name, np.int64)
-        for name in ("capacity", "scope", "foresee_upkeep", "weekday", "observation", "full_state")
+        for name in [
+            "capacity",
+            "scope",
+            "scale_service",
+            "foresee_upkeep",
+            "weekday",
+            "observation",
+            "full_state",
+        ]
     ],
     align=True,
 )

@@ -111,13 +111,16 @@ def _assign_line_rewards(net: Network, k: Record, world: World, c: int, rewards:
 
 @compiled
 def _assign_own_rewards(net: Network, k: Record, world: World, c: int, rewards: NDArray[np.float32]) -> None:
-    """Give each bus the reward of its own e, m and c with its line's q; 0 at the depot.
+    """Give each bus the reward of its own e, m and c with its line's q, by `scale_service` once for each bus
+    of the line; 0 at the depot.
 
     Holding a bus changes two spacings: its own and that of the bus behind it. `follower_share` adds a share
     of the difference between the follower's c and its own.
     """
     for line in range(net.line_slots.shape[0] - 1):
         first, last = net.line_slots[line], net.line_slots[line + 1]
+        record = world.lines[c, line]
+        served = record.service * (record.alive if k.scale_service else 1)
         for n in range(first, last):
             slot = world.slots[c, n]
             if slot.phase == DEPOT:
@@ -125,9 +128,7 @@ def _assign_own_rewards(net: Network, k: Record, world: World, c: int, rewards: 
                 continue
             on_route = slot.phase == DRIVING or slot.phase == STANDING
             crowding = efficiency(k, slot) if on_route else 0.0
-            rewards[n] = _weighted_sum(
-                k, world.lines[c, line].service, crowding, maintenance(k, slot), slot.regularity
-            )
+            rewards[n] = _weighted_sum(k, served, crowding, maintenance(k, slot), slot.regularity)
         if k.follower_share > 0.0:
             for n in range(first, last):
                 behind = world.slots[c, n]
