@@ -90,7 +90,7 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
 
     The environment's own rules inspect the environment and its unwrapped observations while playing the
     wrapped one. Behind a wrapper that changes the meaning of actions only `random` remains, which plays the
-    wrapped environment.
+    wrapped environment. There is no `lookahead`.
     """
     rules, variant, renderer = entry.rules, entry.prepare_variant, entry.renderer
     if any(wrapper.entry.changes_actions for wrapper in wrappers):
@@ -103,6 +103,7 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
         prepare_variant=variant and (lambda config, other: prepare(variant(config, other.prepared))),
         parallel_env=None,
         rules={rule: _rule_behind(rule, own) for rule, own in rules.items()},
+        lookahead=None,
         renderer=renderer and (lambda wrapped: renderer(wrapped.prepared)),
     )
 

@@ -201,7 +201,11 @@ def test_bad_input_of_each_kind_is_one_line(override: str, parts: list[str]) -> 
 @pytest.mark.parametrize(
     ("override", "line"),
     [
-        ("evaluation.rules=[optimum]", r"'optimum' is not a rule of trivial; did you mean optimal\?"),
+        ("evaluation.rules=[optimum]", r"evaluation\.rules: unknown rule 'optimum'; did you mean optimal\?"),
+        (
+            "evaluation.rules=[lookahead]",
+            r"evaluation\.rules: rule lookahead needs an environment that can be",
+        ),
         ("env.training_args.agents=3", r"env\.training_args may change rewards and dynamics, not obs"),
     ],
 )
