@@ -115,8 +115,8 @@ def rule_entry(env: EnvEntry, name: str) -> RuleEntry:
         raise HeadwayError(f"unknown rule {name!r}; {suggestion(name, rule_names(env))}")
     if env.lookahead is None:
         raise HeadwayError(
-            f"rule {LOOKAHEAD} needs an environment that can be simulated ahead, without wrappers; leave it "
-            "out"
+            f"rule {LOOKAHEAD} needs an environment that can be simulated ahead, with wrappers of rewards at "
+            "most; leave it out"
         )
     form = f"{LOOKAHEAD}:RULE:STEPS:SAMPLES"
     _, base, *numbers = [*name.split(":"), *(env.lookahead,) * (":" not in name)]
