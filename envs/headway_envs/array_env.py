@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import EnvSpec, HeadwayError, Observations, StepResult
+from headway.contracts import BatchedEnv, EnvSpec, HeadwayError, Observations, StepResult
 from headway_envs.step_arrays import step_arrays, step_result
 
 Snapshot = dict[str, dict[str, NDArray[Any]]]
@@ -82,6 +82,23 @@ class ArrayEnv(ABC, Generic[WorldT, OutputsT]):
                 )
             mine[...] = saved[name]
         return self.observed()
+
+    def branch_from(
+        self, source: BatchedEnv, rows: NDArray[np.int64], seeds: NDArray[np.uint64]
+    ) -> Observations:
+        """Continue copy c from the present state of copy `rows[c]` of `source`, another batch of the same
+        environment, with random numbers that follow from seeds[c]; rows and seeds (C,)."""
+        assert isinstance(source, type(self))
+        for mine, theirs in ((self.world, source.world), (self.outputs, source.outputs)):
+            for array, other in zip(mine, theirs, strict=True):
+                np.take(other, rows, axis=0, out=array, mode="clip")
+        self._redraw(seeds)
+        return self.observed()
+
+    def _redraw(self, seeds: NDArray[np.uint64]) -> None:
+        """Replace all that is drawn for the future of every copy; seeds (C,). Raises HeadwayError if the
+        environment's entry should name no rule for `lookahead`."""
+        raise HeadwayError(f"{self._spec.name} cannot be simulated ahead: leave out the rule lookahead")
 
     def close(self) -> None:
         """Do nothing: the environment holds no open resources."""

@@ -12,10 +12,11 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from headway.config.schema import suggestion
-from headway.contracts.entries import AlgoEntry, EnvEntry
+from headway.contracts.entries import AlgoEntry, EnvEntry, RuleEntry
 from headway.contracts.errors import HeadwayError, one_line
 from headway.contracts.random_rule import RANDOM
 from headway.contracts.wrapper import WrapperEntry
+from headway.rollout.lookahead import LOOKAHEAD, SAMPLES, STEPS, Lookahead, is_lookahead
 
 Entry = TypeVar("Entry", EnvEntry, AlgoEntry, WrapperEntry)
 
@@ -96,6 +97,43 @@ def hashed_parameters(algorithm: str, parameters: Mapping[str, str]) -> Mapping[
     obsolete = {f"algo.{key}": str(value) for key, value in entry.obsolete_keys.items()}
     before = {f"algo.{key}": str(value) for key, value in getattr(entry.config, "VALUES_BEFORE", {}).items()}
     return {**obsolete, **{key: value for key, value in parameters.items() if before.get(key) != value}}
+
+
+def rule_names(env: EnvEntry) -> tuple[str, ...]:
+    """Return the names of an environment's rules, `lookahead` included if there is one."""
+    return (*env.rules, *([] if env.lookahead is None else [LOOKAHEAD]))
+
+
+def rule_entry(env: EnvEntry, name: str) -> RuleEntry:
+    """Return the rule with this name: one of the entry's, or `lookahead[:RULE[:STEPS[:SAMPLES]]]`.
+
+    Raises HeadwayError, suggesting the nearest name, if there is none.
+    """
+    if not is_lookahead(name):
+        if name in env.rules:
+            return env.rules[name]
+        raise HeadwayError(f"unknown rule {name!r}; {suggestion(name, rule_names(env))}")
+    if env.lookahead is None:
+        raise HeadwayError(
+            f"rule {LOOKAHEAD} needs an environment that can be simulated ahead, with wrappers of rewards at "
+            "most; leave it out"
+        )
+    form = f"{LOOKAHEAD}:RULE:STEPS:SAMPLES"
+    _, base, *numbers = [*name.split(":"), *(env.lookahead,) * (":" not in name)]
+    if len(numbers) > 2 or not all(number.isdecimal() and int(number) for number in numbers):
+        raise HeadwayError(
+            f"{name!r} must have the form {form}, with whole numbers of steps and samples from 1 on, such as "
+            f"{LOOKAHEAD}:{env.lookahead}:{STEPS}:{SAMPLES}"
+        )
+    if base not in env.rules:
+        raise HeadwayError(f"{name}: unknown rule {base!r}; {suggestion(base, env.rules)}")
+    own = env.rules[base]
+    steps, samples = [*map(int, numbers), *(STEPS, SAMPLES)[len(numbers) :]]
+    return RuleEntry(
+        f"reference for what could be gained, slow and not deployable: simulates {steps} steps of {base} "
+        f"after every action, in {samples} futures (rollout, Bertsekas 2019); others: {form}",
+        lambda prepared: Lookahead(env.make, prepared, own.make(prepared), steps, samples),
+    )
 
 
 def wrapper_entry(name: str, path: str = "") -> WrapperEntry:

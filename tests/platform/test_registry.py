@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from headway.contracts import HeadwayError
-from headway.registry import env_entries
+from headway.registry import env_entries, rule_entry, rule_names
 
 PACKAGE = """
 from headway.contracts import EnvEntry, RuleEntry
@@ -34,3 +34,43 @@ def test_a_rule_without_a_summary_is_one_line(install: Callable[[str, str, str],
     line = r"of package package_of_bare_rules cannot be loaded \(TypeError: rule 'first' must be a RuleEntry"
     with pytest.raises(HeadwayError, match=line):
         env_entries()
+
+
+def test_lookahead_is_a_rule_but_none_that_is_played_by_default() -> None:
+    bus, tracking = env_entries()["bus"], env_entries()["tracking"]
+    assert "lookahead" not in bus.rules
+    assert rule_names(bus)[-1] == "lookahead"
+    assert "lookahead" not in rule_names(tracking)
+    assert rule_entry(bus, "even_headway") is bus.rules["even_headway"]
+    assert rule_entry(bus, "lookahead").summary == rule_entry(bus, "lookahead:even_headway:30:16").summary
+    assert "simulates 5 steps of always_move after every action, in 16" in (
+        rule_entry(bus, "lookahead:always_move:5").summary
+    )
+
+
+@pytest.mark.parametrize(
+    ("env", "name", "line"),
+    [
+        ("bus", "lookahed", "unknown rule 'lookahed'; did you mean lookahead?"),
+        ("bus", "lookahead:even", "lookahead:even: unknown rule 'even'; did you mean even_headway?"),
+        ("bus", "lookahead:lookahead", "lookahead:lookahead: unknown rule 'lookahead'"),
+        (
+            "bus",
+            "lookahead:even_headway:0",
+            "with whole numbers of steps and samples from 1 on, such as look",
+        ),
+        ("bus", "lookahead:even_headway:9:-1", "must have the form lookahead:RULE:STEPS:SAMPLES"),
+        ("bus", "lookahead:even_headway:9:", "must have the form"),
+        ("bus", "lookahead:even_headway:9:4:1", "must have the form"),
+        (
+            "tracking",
+            "lookahead",
+            "needs an environment that can be simulated ahead, with wrappers of rewards at most; leave",
+        ),
+    ],
+)
+def test_a_lookahead_that_cannot_be_is_one_line(env: str, name: str, line: str) -> None:
+    with pytest.raises(HeadwayError) as caught:
+        rule_entry(env_entries()[env], name)
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -43,6 +43,7 @@ ENTRY = EnvEntry(
             Lazy("headway_envs.bus.rules:ScheduleHolding"),
         ),
     },
+    lookahead="even_headway",
     metrics=METRIC_DESCRIPTIONS,
     renderer=Lazy("headway_envs.bus.renderer:BusRenderer"),
     preload=("headway_envs.bus.kernel", "headway_envs.bus.env"),

@@ -9,6 +9,7 @@ from headway.contracts import Discrete, EnvSpec, Observations, StepResult
 from headway_envs.array_env import ArrayEnv, Snapshot, copied
 from headway_envs.bus.kernel import tick
 from headway_envs.bus.kernel.allocation import allocate_trace, allocate_world, state_size
+from headway_envs.bus.kernel.future import redraw
 from headway_envs.bus.kernel.layout import OBSERVATION_SIZES, Outputs, World
 from headway_envs.bus.metrics import METRICS
 from headway_envs.bus.prepared import Prepared
@@ -107,6 +108,9 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
                     full.ravel()[occupied] = world[name]
                     world[name] = full
         return super().restore({**snapshot, "world": world})
+
+    def _redraw(self, seeds: NDArray[np.uint64]) -> None:
+        redraw(self.network, self.settings, self.world, seeds)
 
     def _occupied(self, waiting: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the occupied positions of the flattened queue storage (C x storage).

@@ -1,10 +1,12 @@
 """Classical holding controllers, and baselines without holding.
 
 All rules but `always_move` also send buses to the service centre in time, as a dispatcher would
-(`_due_for_service`). The rules read the environment's arrays, including the bus's next arrival time.
+(`FleetState.due_for_service`). The rules read the environment's arrays, including the bus's next arrival
+time.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,35 +39,6 @@ MIN_WORN_SHARE = 0.5
 to be sent to service."""
 
 
-@dataclass(frozen=True)
-class FleetState:
-    """State of all buses of C copies as (C, N) arrays; times in s."""
-
-    event: Floats
-    """Time of the next event: arrival for a driving bus, else the next decision."""
-    now: Floats
-    """(C, 1) current time."""
-    terminal: NDArray[np.bool_]
-    """Whether the bus waits at a terminal for its next trip."""
-    on_way: NDArray[np.bool_]
-    """Whether the bus drives or stands at a stop."""
-    headway: Floats
-    """Headway at the next event, since the last departure from that call, s; infinite before the first
-    departure."""
-    target: Floats
-    """Target headway of the pattern at the next event, s."""
-    departure: Floats
-    """Scheduled departure time of the trip."""
-    planned: Floats
-    """Planned time at the call of the next event."""
-    ahead: Floats
-    """Spacing to the bus ahead over the target headway; NaN without a neighbour."""
-    behind: Floats
-    """Spacing to the bus behind over the target headway; NaN without a neighbour."""
-    due_for_service: NDArray[np.bool_]
-    """Whether the bus should go to service at its current terminal."""
-
-
 def _at(curves: Floats, rows: NDArray[np.int64], time: Floats) -> Floats:
     """Return the values of rows of (rows, K) knot curves at times in s, interpolated as in the kernel."""
     place = np.clip(time / 3600.0 - FIRST_KNOT_HOUR - 0.5, 0.0, KNOTS - 1)
@@ -74,55 +47,80 @@ def _at(curves: Floats, rows: NDArray[np.int64], time: Floats) -> Floats:
     return np.asarray((1.0 - weight) * curves[rows, knot] + weight * curves[rows, knot + 1])
 
 
-def fleet_state(env: BatchedEnv) -> FleetState:
-    """Return the fleet state of a bus environment. Raises TypeError for any other environment."""
-    if not isinstance(env, BusBatchedEnv):
-        raise TypeError(f"the bus rules need a BusBatchedEnv, not {type(env).__name__}")
-    net, world = env.network, env.world
-    slots = world.slots
-    phase, pattern = slots["phase"], slots["pattern"]
-    call = slots["call"] + (phase == DRIVING)
-    since = np.take_along_axis(world.queues["last_departure"], call, axis=1)
-    departure = net.trip_departure[slots["trip"]]
-    return FleetState(
-        event=world.event_time,
-        now=world.days["now"][:, None],
-        terminal=phase == TERMINAL,
-        on_way=(phase == DRIVING) | (phase == STANDING),
-        headway=np.where(since > 0, world.event_time - since, np.inf),
-        target=_at(net.target, pattern, np.maximum(world.event_time, 0.0).clip(max=1e6)),
-        departure=departure,
-        planned=departure + _at(net.nominal, call, departure),
-        ahead=slots["ahead"],
-        behind=slots["behind"],
-        due_for_service=_due_for_service(env),
-    )
+class FleetState:
+    """State of all buses of C copies as (C, N) arrays; times in s. What a rule does not read is not computed:
+    `lookahead` asks its base rule many thousand times per day."""
 
+    def __init__(self, env: BatchedEnv) -> None:
+        """Raises TypeError for any environment but the bus environment."""
+        if not isinstance(env, BusBatchedEnv):
+            raise TypeError(f"the bus rules need a BusBatchedEnv, not {type(env).__name__}")
+        self._env, self._net, self._world = env, env.network, env.world
+        self._slots = env.world.slots
+        self._phase = self._slots["phase"]
+        self.event: Floats = env.world.event_time
+        """Time of the next event: arrival for a driving bus, else the next decision."""
+        self.now: Floats = env.world.days["now"][:, None]
+        """(C, 1) current time."""
+        self.terminal: NDArray[np.bool_] = self._phase == TERMINAL
+        """Whether the bus waits at a terminal for its next trip."""
+        self.on_way: NDArray[np.bool_] = (self._phase == DRIVING) | (self._phase == STANDING)
+        """Whether the bus drives or stands at a stop."""
+        self.departure: Floats = env.network.trip_departure[self._slots["trip"]]
+        """Scheduled departure time of the trip."""
+        self.ahead: Floats = self._slots["ahead"]
+        """Spacing to the bus ahead over the target headway; NaN without a neighbour."""
+        self.behind: Floats = self._slots["behind"]
+        """Spacing to the bus behind over the target headway; NaN without a neighbour."""
 
-def _due_for_service(env: BusBatchedEnv) -> NDArray[np.bool_]:
-    """Return which buses should go to service at their current terminal, (C, N).
+    @property
+    def _call(self) -> NDArray[np.int64]:
+        """Call of the next event."""
+        return np.asarray(self._slots["call"] + (self._phase == DRIVING))
 
-    Inputs are the driving time until the bus's next stay at the depot and the terminals of its line nearest
-    to a service centre. A bus at such a terminal is sent if its fuel, with a margin, lasts neither to the
-    depot nor for a round trip (twice its line's longest trip), or if its uptime would fall below the warning
-    level within a round trip and early enough before the depot (`MIN_WORN_SHARE`). At any other terminal a
-    bus is sent only if its fuel lasts neither to the depot nor for one more trip.
-    """
-    net, slots, upkeep = env.network, env.world.slots, env.prepared.config.upkeep
-    trip, line_way = net.line_trip[net.slot_line], net.line_detour[net.slot_line]
-    to_drive = net.trip_work_left[slots["trip"]]
-    fuel_range = slots["fuel"] * upkeep.seconds_per_fuel_unit / FUEL_MARGIN
-    wear_range = (slots["uptime"] - upkeep.warning) * upkeep.uptime_hours * 3600.0
-    near = net.detour[slots["call"]] <= line_way + NEAR_S
-    soon = fuel_range < np.minimum(np.where(near, 2.0, 1.0) * trip, to_drive)
-    worn = near & (wear_range < np.minimum(2.0 * trip, (1.0 - MIN_WORN_SHARE) * to_drive))
-    return np.asarray(soon | worn)
+    @cached_property
+    def headway(self) -> Floats:
+        """Headway at the next event, since the last departure from that call, s; infinite before the first
+        departure."""
+        since = np.take_along_axis(self._world.queues["last_departure"], self._call, axis=1)
+        return np.where(since > 0, self.event - since, np.inf)
+
+    @cached_property
+    def target(self) -> Floats:
+        """Target headway of the pattern at the next event, s."""
+        return _at(self._net.target, self._slots["pattern"], np.maximum(self.event, 0.0).clip(max=1e6))
+
+    @cached_property
+    def planned(self) -> Floats:
+        """Planned time at the call of the next event."""
+        return self.departure + _at(self._net.nominal, self._call, self.departure)
+
+    @cached_property
+    def due_for_service(self) -> NDArray[np.bool_]:
+        """Whether the bus should go to service at its current terminal.
+
+        Inputs are the driving time until the bus's next stay at the depot and the terminals of its line
+        nearest to a service centre. A bus at such a terminal is sent if its fuel, with a margin, lasts
+        neither to the depot nor for a round trip (twice its line's longest trip), or if its uptime would fall
+        below the warning level within a round trip and early enough before the depot (`MIN_WORN_SHARE`). At
+        any other terminal a bus is sent only if its fuel lasts neither to the depot nor for one more trip.
+        """
+        net, slots, upkeep = self._net, self._slots, self._env.prepared.config.upkeep
+        trip, line_way = net.line_trip[net.slot_line], net.line_detour[net.slot_line]
+        to_drive = net.trip_work_left[slots["trip"]]
+        fuel_range = slots["fuel"] * upkeep.seconds_per_fuel_unit / FUEL_MARGIN
+        wear_range = (slots["uptime"] - upkeep.warning) * upkeep.uptime_hours * 3600.0
+        near = net.detour[slots["call"]] <= line_way + NEAR_S
+        soon = fuel_range < np.minimum(np.where(near, 2.0, 1.0) * trip, to_drive)
+        worn = near & (wear_range < np.minimum(2.0 * trip, (1.0 - MIN_WORN_SHARE) * to_drive))
+        return np.asarray(soon | worn)
 
 
 def _actions(fleet: FleetState, hold: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return WAIT where `hold`, else MOVE; SERVICE_CENTER takes precedence at terminals."""
     actions = np.where(hold, WAIT, MOVE).astype(np.int64)
-    actions[fleet.terminal & fleet.due_for_service] = SERVICE_CENTER
+    if fleet.terminal.any():
+        actions[fleet.terminal & fleet.due_for_service] = SERVICE_CENTER
     return actions
 
 
@@ -150,7 +148,7 @@ class MoveWithService:
     prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        return _actions(fleet_state(env), np.zeros(observed.alive.shape, np.bool_))
+        return _actions(FleetState(env), np.zeros(observed.alive.shape, np.bool_))
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ class HeadwayHolding:
     """Share of the target headway below which a bus is held."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        fleet = fleet_state(env)
+        fleet = FleetState(env)
         overdue = fleet.terminal & (fleet.event > fleet.departure + self.prepared.config.dispatch_window_s)
         return _actions(fleet, _too_close(fleet, self.share) & ~overdue)
 
@@ -181,7 +179,7 @@ class EvenHeadway:
     prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        fleet = fleet_state(env)
+        fleet = FleetState(env)
         uneven = fleet.on_way & (fleet.behind > fleet.ahead) & (fleet.ahead < 1.0)
         return _actions(fleet, uneven | _before_schedule(fleet))
 
@@ -193,6 +191,6 @@ class ScheduleHolding:
     prepared: "Prepared"
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
-        fleet = fleet_state(env)
+        fleet = FleetState(env)
         early = fleet.on_way & (fleet.event < fleet.planned)
         return _actions(fleet, early | _before_schedule(fleet))

@@ -45,9 +45,11 @@ def tiny_network() -> Network:
 
 
 def run_tiny() -> None:
-    """Simulate one service day of one hour on the tiny network, and the first interval of the next day."""
+    """Simulate one service day of one hour on the tiny network, and the first interval of the next day; then
+    draw another future."""
     config = BusConfig(end_hour=6)
     env = BusBatchedEnv(Prepared(config, tiny_network(), ("tiny",), "tiny"), 1)
     env.reset(np.zeros(1, np.uint64))
     for _ in range(config.ticks + 1):
         env.step(np.ones((1, 1), np.int64))
+    env.branch_from(env, np.zeros(1, np.int64), np.ones(1, np.uint64))

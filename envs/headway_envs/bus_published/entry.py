@@ -31,6 +31,7 @@ ENTRY = EnvEntry(
         ),
         "random": RANDOM,
     },
+    lookahead="move_with_service",
     metrics=METRIC_DESCRIPTIONS,
     preload=("headway_envs.bus_published.kernel", "headway_envs.bus_published.env"),
     published=Lazy("headway_envs.bus_published.published:BUSENV_TABLE_3"),

@@ -66,5 +66,8 @@ class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
         """Return the current observations: views of the environment's arrays."""
         return Observations(self.outputs.observations, self._no_state, self._always)
 
+    def _redraw(self, seeds: NDArray[np.uint64]) -> None:
+        """Do nothing: nothing is random after the start of a day."""
+
     def _begin(self, seeds: NDArray[np.uint64]) -> None:
         steps.begin(self.network, self.settings, self.world, self.outputs, seeds)

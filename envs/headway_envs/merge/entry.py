@@ -31,6 +31,7 @@ def _entry(summary: str, ramp_lanes: int, published: str) -> EnvEntry:
         prepare=partial(Lazy("headway_envs.merge.prepared:prepare"), ramp_lanes=ramp_lanes),
         parallel_env=partial(Lazy("headway_envs.merge.parallel:parallel_env"), ramp_lanes=ramp_lanes),
         rules=RULES,
+        lookahead="idm_mobil",
         metrics=METRIC_DESCRIPTIONS,
         renderer=Lazy("headway_envs.merge.renderer:MergeRenderer"),
         preload=("headway_envs.merge.kernel", "headway_envs.merge.env"),

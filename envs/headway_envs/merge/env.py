@@ -84,5 +84,9 @@ class MergeBatchedEnv(ArrayEnv[World, Outputs]):
         masks = outputs.masks if self._spec.has_action_mask else None
         return Observations(outputs.observations, outputs.states, outputs.alive, masks)
 
+    def _redraw(self, seeds: NDArray[np.uint64]) -> None:
+        """Only the supervisor draws after the start of an episode; human drivers are deterministic."""
+        self.world.episodes["seed"] = self.world.episodes["key"] = seeds
+
     def _begin(self, seeds: NDArray[np.uint64]) -> None:
         steps.begin(self.network, self.settings, self.world, self.outputs, seeds)

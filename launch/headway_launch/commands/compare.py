@@ -4,11 +4,13 @@ import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.evaluate import OTHER_EPISODES, add_best_argument
+from headway.rollout.lookahead import is_lookahead
 from headway_launch.commands.run import add_config_dir_argument
 from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
 
@@ -83,6 +85,7 @@ def execute(arguments: argparse.Namespace) -> int:
         difference,
         few_episodes,
         few_seeds,
+        gap_lines,
         rule_episodes,
         rules_to_play,
     )
@@ -112,7 +115,7 @@ def execute(arguments: argparse.Namespace) -> int:
     players = len(names) + sum(map(len, policies.values()))
     with CountedProgress("episodes played", players * episodes) as progress:
         rules = rule_episodes(experiment, found.prepared, names, root, episodes, progress)
-        reference = arguments.against or max(rules, key=lambda rule: _mean(rules[rule], "return"))
+        reference = arguments.against or _best(rules)
         played = {
             label: [
                 policy_episodes(policy, root, episodes, greedy, counting(progress, label))
@@ -152,6 +155,9 @@ def execute(arguments: argparse.Namespace) -> int:
         return_metric = f"evaluation_{arguments.mode}/return"
         if line := start_line(label, Path(arguments.store), folders, return_metric):
             print_line(line)
+    returns = {label: fmean(_mean(of_seed, "return") for of_seed in played[label]) for label in played}
+    for line in gap_lines(returns, {rule: _mean(rows, "return") for rule, rows in rules.items()}):
+        print_line(line)
     fewest = min(map(len, cells.values()), default=SEEDS_FOR_A_CLAIM)
     if fewest < SEEDS_FOR_A_CLAIM:
         print_line(few_seeds(fewest))
@@ -252,6 +258,11 @@ def _metrics(names: str, known: Sequence[str]) -> tuple[str, ...]:
     if not wanted:
         raise HeadwayError("--metrics is empty; give at least one, such as --metrics return")
     return wanted
+
+
+def _best(rules: Mapping[str, Sequence["Row"]]) -> str:
+    """Return the rule with the highest mean return; `lookahead` only if there is no other."""
+    return max(rules, key=lambda rule: (not is_lookahead(rule), _mean(rules[rule], "return")))
 
 
 def _values(episodes: Sequence["Row"], metric: str) -> list[float]:

@@ -17,6 +17,8 @@ from headway.registry import (
     env_entries,
     env_entry,
     is_external,
+    rule_entry,
+    rule_names,
     wrapper_entries,
     wrapper_entry,
 )
@@ -141,7 +143,10 @@ def _registered_id(name: str) -> str | None:
 def rules_of(name: str) -> Mapping[str, RuleEntry]:
     """Return the rules of an environment or configuration file; only `random` for a PettingZoo module."""
     own = _registered_id(name)
-    return {"random": RANDOM} if own is None else env_entry(own).rules
+    if own is None:
+        return {"random": RANDOM}
+    entry = env_entry(own)
+    return {rule: rule_entry(entry, rule) for rule in rule_names(entry)}
 
 
 def metrics_of(name: str) -> Mapping[str, str]:

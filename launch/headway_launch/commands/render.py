@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from headway.config.schema import nearest, suggestion
+from headway.config.schema import nearest
 from headway.contracts.errors import HeadwayError
 from headway.wording import counted
 from headway_launch.commands.run import add_config_dir_argument
@@ -176,13 +176,15 @@ def _player(arguments: argparse.Namespace) -> _Player:
             lambda env, observed: acting.act(policy.parameters, observed, None)[0],
             acting.reset_ended,
         )
+    from headway.registry import rule_entry
     from headway_launch.experiments.compose import compose
 
     experiment = compose([f"env={arguments.name}", *arguments.overrides])
-    found, rules = experiment.prepare(), experiment.env.rules
-    if arguments.rule not in rules:
-        raise HeadwayError(f"--rule: unknown rule {arguments.rule!r}; {suggestion(arguments.rule, rules)}")
-    rule = rules[arguments.rule].make(found.prepared)
+    found = experiment.prepare()
+    try:
+        rule = rule_entry(experiment.env, arguments.rule).make(found.prepared)
+    except HeadwayError as error:
+        raise HeadwayError(f"--rule: {error}") from error
     settings = f", {' '.join(arguments.overrides)}" if arguments.overrides else ""
     return _Player(
         f"rule {arguments.rule} on {arguments.name}{settings}",

@@ -20,11 +20,11 @@ from headway.config.schema import (
     refuse_targets,
     suggestion,
 )
-from headway.contracts.entries import AlgoEntry, EnvEntry
+from headway.contracts.entries import AlgoEntry, EnvEntry, RuleEntry
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError, UnknownKeyError
 from headway.environments import chosen_env, notices_of
-from headway.registry import is_external, wrapper_entry
+from headway.registry import is_external, rule_entry, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
 from headway.store.run_folder import find_run
 from headway_launch.console.output import print_line, prints_to_stderr
@@ -103,7 +103,7 @@ class Experiment:
 
     @property
     def rules(self) -> tuple[str, ...]:
-        """Names of the rules that are evaluated for comparison; by default all of the environment."""
+        """Names of the rules that are evaluated for comparison; by default all but `lookahead`."""
         chosen = self.config.evaluation.rules
         return tuple(self.env.rules) if chosen is None else chosen
 
@@ -131,14 +131,15 @@ class Experiment:
             [self.config.env.id, self.env_mapping, args, self.rules], sort_keys=True, default=str
         )
 
+    def _rule(self, name: str) -> RuleEntry:
+        try:
+            return rule_entry(self.env, name)
+        except HeadwayError as error:
+            raise HeadwayError(f"evaluation.rules: {error}") from error
+
     @prints_to_stderr()
     def _prepare_environment(self) -> PreparedEnv:
-        for rule in self.rules:
-            if rule not in self.env.rules:
-                raise HeadwayError(
-                    f"evaluation.rules: {rule!r} is not a rule of {self.config.env.id}; "
-                    f"{suggestion(rule, self.env.rules)}"
-                )
+        rules = [self._rule(name) for name in self.rules]
         prepared = training = self.env.prepare(self.env_config)
         spec = self._spec(prepared)
         if self.training_env is not self.env or self.training_env_config != self.env_config:
@@ -159,9 +160,9 @@ class Experiment:
                     "env.training_args may change rewards and dynamics, not observations, actions or "
                     "metrics; set such arguments in env.args"
                 )
-        for rule in self.rules:
+        for rule in rules:
             try:
-                self.env.rules[rule].make(prepared)
+                rule.make(prepared)
             except HeadwayError as error:  # wrappers hide its inputs
                 raise HeadwayError(f"evaluation.rules: {error}") from error
         give_back_memory()  # each training process loads the same data next

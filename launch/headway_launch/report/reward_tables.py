@@ -158,6 +158,7 @@ def interquartile_section(data: StudyData) -> Section:
         )
     elif reasons:
         body.append(f"No difference from the best rule is given for {'; '.join(reasons)}.")
+    body += [f"{line}{data.where(task)}." for task in data.tasks for line in data.gap_lines(task)]
     body += _single_seeds(data)
     for place, task in enumerate(data.tasks):
         found = frames.summary(data.scores_on(task))

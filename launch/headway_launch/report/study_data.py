@@ -11,13 +11,14 @@ import pandas as pd
 
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS
+from headway.rollout.lookahead import is_lookahead
 from headway.stats import frames, plots
 from headway.stats.samples import Interval, MeanStd, mean_std
 from headway.store.query import LABELS as RUN_LABELS
 from headway.store.query import RunSelection
 from headway.wording import counted
 from headway_launch.experiments.parameters import flat
-from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference
+from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference, gap_lines
 from headway_launch.studies.runs import (
     configuration,
     curve_points,
@@ -217,7 +218,7 @@ class StudyData:
     def best_rules(self) -> dict[str, str]:
         """Rule with the best mean over the last evaluation, by task; tasks without rules are absent."""
         ranked = {task: self.ranked_rules(task) for task in self.tasks}
-        return {task: rules[0] for task, rules in ranked.items() if rules}
+        return {task: rules[0] for task, rules in ranked.items() if rules and not is_lookahead(rules[0])}
 
     @cached_property
     def scale(self) -> dict[str, tuple[float, float]]:
@@ -227,18 +228,18 @@ class StudyData:
         """
         found = {}
         for task, values in self.rules_beside_curves.items():
-            signed = {rule: self.sign * value for rule, value in values.items()}
+            signed = {rule: self.sign * value for rule, value in values.items() if not is_lookahead(rule)}
             if RANDOM in signed and max(signed.values()) > signed[RANDOM]:
                 found[task] = (signed[RANDOM], max(signed.values()))
         return found
 
     def ranked_rules(self, task: str) -> list[str]:
-        """Return the rules of a task, best first."""
+        """Return the rules of a task, best first; `lookahead` after all others."""
         of_task = self.rules[self.rules["task"] == task]
         if of_task.empty:
             return []
         means = of_task.groupby("rule")[self.column].mean() * self.sign
-        return [str(rule) for rule in means.sort_values(ascending=False).index]
+        return sorted(map(str, means.sort_values(ascending=False).index), key=is_lookahead)
 
     def file_suffix(self, place: int) -> str:
         """Return the suffix of a file name if there is one file per task, such as `_1`."""
@@ -274,8 +275,17 @@ class StudyData:
         best = self.by_episode(task, self.best_rules[task])
         return self.paired(task, self.by_seed(task, controller, self.column), best)
 
+    def gap_lines(self, task: str) -> list[str]:
+        """Return `comparison.gap_lines` of a task, over the episodes of the last evaluation."""
+        rules = {rule: float(self.by_episode(task, rule).mean()) for rule in self.ranked_rules(task)}
+        learned = {name: self.by_seed(task, name, self.column) for name in self.on(task)}
+        means = {name: float(found.to_numpy().mean()) for name, found in learned.items() if found.size}
+        return gap_lines(means, rules, self.sign)
+
     def rule_against_best(self, task: str, rule: str) -> DifferenceFromBest:
         """Return the paired difference of the metric, rule minus best rule; None for the best rule itself."""
+        if task not in self.best_rules:
+            return DifferenceFromBest(None, "no rule was run")
         if rule == self.best_rules[task]:
             return DifferenceFromBest(None)
         best = self.by_episode(task, self.best_rules[task])

@@ -26,6 +26,7 @@ from headway_launch.runner.jobs import CellPlan, PlannedJob
 from headway_launch.runner.results import SeedResult, stored_result
 from headway_launch.runner.stored_run import StoredRun
 
+_TO_METRIC_NAME = str.maketrans(".:", "__")
 Rules = Mapping[str, list[Row]]
 _EVALUATION_SEED = "evaluation_seed"
 """Column of the evaluation seed in the rows of rules. Their `episode_seed` alone identifies no episode,
@@ -149,7 +150,7 @@ class SessionCell:
     def finish(self, statuses: Sequence[Status], metrics: Mapping[str, float]) -> None:
         """End the cell in MLflow with the session's `metrics`; `statuses`: one per job of the cell."""
         rules = {
-            f"rules/{rule.replace('.', '_')}_return": fmean(float(row["return"]) for row in rows)
+            f"rules/{rule.translate(_TO_METRIC_NAME)}_return": fmean(float(row["return"]) for row in rows)
             for rule, rows in self.rules.items()
         }
         self._cell.finish(status_of_all(statuses), {**metrics, **rules})

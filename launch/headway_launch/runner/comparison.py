@@ -4,9 +4,10 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS, Row
+from headway.registry import rule_entry
+from headway.rollout.lookahead import is_lookahead
 from headway_launch.console.output import print_line, prints_to_stderr
 from headway_launch.console.tables import Value, print_table
 
@@ -25,7 +26,8 @@ _COLUMNS = ("controller", "episodes", "return", "learner minus rule", "95% low",
 
 
 def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "--rules") -> tuple[str, ...]:
-    """Return the rules to play: the distinct ones in `names` (`a,b`) or, by default, all that can be played.
+    """Return the rules to play: the distinct ones in `names` (`a,b`) or, by default, all that can be played
+    but `lookahead`.
 
     Prints which rules are left out because wrappers hide their inputs. Raises HeadwayError, naming `option`,
     for an unknown rule or a listed rule that cannot play.
@@ -34,8 +36,6 @@ def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "
     if names is not None:
         wanted = tuple(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
         for name in wanted:
-            if name not in known:
-                raise HeadwayError(f"{option}: there is no rule {name!r}; {suggestion(name, known)}")
             if problem := _refusal(environment, name):
                 raise HeadwayError(f"{option}: {problem}")
         return wanted
@@ -47,9 +47,9 @@ def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "
 
 
 def _refusal(environment: "PreparedEnv", rule: str) -> str | None:
-    """Return why a rule cannot play an environment; None if it can."""
+    """Return why a rule is unknown or cannot play an environment; None if it can."""
     try:
-        environment.entry.rules[rule].make(environment.prepared)
+        rule_entry(environment.entry, rule).make(environment.prepared)
     except HeadwayError as error:
         return str(error)
     return None
@@ -67,10 +67,10 @@ def rule_episodes(
     """Return the episodes of each rule, one row per episode, on the evaluation seeds derived from `root`."""
     from headway.rollout.episodes import evaluate_rule
 
-    make, known = experiment.env.make, experiment.env.rules
+    env = experiment.env
     return {
         rule: evaluate_rule(
-            make, known[rule].make, prepared, root, episodes, counting(progress, f"rule {rule}")
+            env.make, rule_entry(env, rule).make, prepared, root, episodes, counting(progress, f"rule {rule}")
         )
         for rule in rules
     }
@@ -107,6 +107,10 @@ def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping
         _print_by_column(columns, table, methods)
     else:
         print_table(columns, table)
+    means_of = {name: mean for name, rows in controllers if (mean := _mean(rows, "return")) is not None}
+    of_rules = {rule: means_of[f"rule {rule}"] for rule in rules if f"rule {rule}" in means_of}
+    for line in gap_lines({name: means_of[label]} if learned else {}, of_rules):
+        print_line(line)
     if learned and rules and len(learned) < SEEDS_FOR_A_CLAIM:
         print_line(few_seeds(len(learned)))
 
@@ -122,6 +126,28 @@ def difference(learned: Sequence[Sequence[float]], rule: Sequence[float]) -> "In
     if len(learned) == 1:
         return paired_difference(learned[0], rule)
     return paired_difference_over_seeds(learned, [rule] * len(learned))
+
+
+def gap_lines(learned: Mapping[str, float], rules: Mapping[str, float], sign: int = 1) -> list[str]:
+    """Return a sentence for each `lookahead` among the rules: which share of its gap to the best other rule
+    the learners close.
+
+    Values are means over the same episodes, by name; `sign` is -1 if lower is better.
+    """
+    others = [rule for rule in rules if not is_lookahead(rule)]
+    if not others:
+        return []
+    best = max(others, key=lambda rule: sign * rules[rule])
+    lines = []
+    for reference in filter(is_lookahead, rules):
+        gap = rules[reference] - rules[best]
+        if sign * gap <= 0:
+            lines.append(f"{reference} is not better than the best rule, {best}: it shows no gap to close")
+            continue
+        shares = [f"{name} closes {(value - rules[best]) / gap:.0%}" for name, value in learned.items()]
+        between = f"from the best rule, {best}, to {reference}, a reference that simulates the environment"
+        lines.append(f"gap {between}: {abs(gap):.4g}{'; of it ' if shares else ''}{', '.join(shares)}")
+    return lines
 
 
 def few_seeds(seeds: int) -> str:

@@ -205,7 +205,8 @@ class EvaluationConfig:
     seed: int = 1_000_003
     """Root of the evaluation seeds, which differ from every training seed."""
     rules: tuple[str, ...] | None = None
-    """Rules of the environment evaluated for comparison with the learner. null: all; []: none."""
+    """Rules of the environment evaluated for comparison with the learner. null: all but the slow `lookahead`;
+    []: none."""
 
     def __post_init__(self) -> None:
         require_value(self, "episodes", self.episodes >= 1, "must be at least 1")

@@ -112,6 +112,9 @@ class EnvEntry:
     """
     rules: Mapping[str, RuleEntry] = field(default_factory=dict)
     """Rules by name. The rule `random` is added unless one is registered under this name."""
+    lookahead: str | None = None
+    """Rule that the rule `lookahead` improves on by default; None: batches are no `BranchingEnv`s, and
+    there is no such rule."""
     metrics: Mapping[str, str] = field(default_factory=dict)
     """Description of each episode metric, with its unit, in the order of `EnvSpec.metrics`."""
     renderer: Callable[[Any], Renderer] | None = None

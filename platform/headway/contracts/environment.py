@@ -171,3 +171,18 @@ class BatchedEnv(Protocol):
     def close(self) -> None:
         """Free the environment's resources. Nothing else is called afterwards."""
         ...
+
+
+class BranchingEnv(BatchedEnv, Protocol):
+    """An environment whose present states can be played on in another batch, for the rule `lookahead`."""
+
+    def branch_from(
+        self, source: BatchedEnv, rows: NDArray[np.int64], seeds: NDArray[np.uint64]
+    ) -> Observations:
+        """Continue copy c from the present state of copy `rows[c]` of `source`; return the observations.
+
+        `source` is a batch of the same environment and arguments; `rows` and `seeds` are (C,). All that
+        happens from now on must follow from seeds[c]: nothing that `source` has drawn for its future, and
+        will draw, may be carried over.
+        """
+        ...

@@ -19,6 +19,7 @@ from headway.contracts import (
     BatchedEnv,
     BatchedWrapper,
     BatchWrapper,
+    BranchingEnv,
     EnvEntry,
     HeadwayError,
     ObservationBounds,
@@ -40,6 +41,14 @@ class ZeroAbsentObservations(BatchWrapper):
         spec = inner.spec
         shape = (inner.num_copies, spec.num_agents, spec.observation_size)
         self._observations = np.zeros(shape, dtype=np.float32)
+
+    def branch_from(
+        self, source: BatchedEnv, rows: NDArray[np.int64], seeds: NDArray[np.uint64]
+    ) -> Observations:
+        """Branch as `BranchingEnv` does, if the inner environment is one."""
+        assert isinstance(source, ZeroAbsentObservations)
+        self.inner_observed = cast(BranchingEnv, self.inner).branch_from(source.inner, rows, seeds)
+        return self._begin(self.inner_observed)
 
     def _begin(self, observed: Observations) -> Observations:
         self._observations.fill(0)
@@ -90,7 +99,7 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
 
     The environment's own rules inspect the environment and its unwrapped observations while playing the
     wrapped one. Behind a wrapper that changes the meaning of actions only `random` remains, which plays the
-    wrapped environment.
+    wrapped environment. `lookahead` plays only without any.
     """
     rules, variant, renderer = entry.rules, entry.prepare_variant, entry.renderer
     if any(wrapper.entry.changes_actions for wrapper in wrappers):
@@ -103,6 +112,7 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
         prepare_variant=variant and (lambda config, other: prepare(variant(config, other.prepared))),
         parallel_env=None,
         rules={rule: _rule_behind(rule, own) for rule, own in rules.items()},
+        lookahead=None if wrappers else entry.lookahead,
         renderer=renderer and (lambda wrapped: renderer(wrapped.prepared)),
     )
 

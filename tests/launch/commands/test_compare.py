@@ -52,7 +52,8 @@ def test_rules_are_compared_on_the_days_of_an_environment(
         (["env.args.steps=7"], "no environment given; add env=ENV or experiment=EXPERIMENT"),
         (["env=tracking", "env.args.stepz=3"], "did you mean env.args.steps?"),
         ([*GAME, "--rules", "optimum"], "did you mean optimal?"),
-        ([*GAME, "--against", "ippo"], "--against: there is no rule 'ippo'"),
+        ([*GAME, "--against", "ippo"], "--against: unknown rule 'ippo'"),
+        ([*GAME, "--rules", "lookahead"], "--rules: rule lookahead needs an environment that can be"),
         ([*GAME, "--metrics", "distanse"], "unknown metric 'distanse'; did you mean distance?"),
         ([*GAME, "--episodes", "1"], "--episodes 1: must be at least 2, because an interval needs two"),
         ([*GAME, "--rules", ","], "--rules is empty"),
@@ -81,3 +82,17 @@ def test_few_episodes_are_noted_if_an_interval_is_over_them(
 ) -> None:
     assert run(["compare", *GAME, *words]) == 0
     assert ("play at least 20 before" in capsys.readouterr().err) == told
+
+
+def test_lookahead_is_played_where_it_is_named_and_is_no_reference(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A bus that waits earns less than one that moves; looking one step ahead from waiting finds that out."""
+    words = ["env=bus_published", "env.args.scenario=line", "env.args.max_steps=6", "--episodes", "2"]
+    assert run(["compare", *words, "--rules", "always_wait,lookahead:always_wait:2:1"]) == 0
+    shown = capsys.readouterr()
+    header, *rows = csv.reader(shown.out.splitlines(), delimiter="\t")
+    assert header[4] == "minus always_wait"
+    assert [row[1] for row in rows] == ["rule always_wait", "rule lookahead:always_wait:2:1"]
+    assert float(rows[1][4]) > 0
+    assert "gap from the best rule, always_wait, to lookahead:always_wait:2:1, a reference" in shown.err

@@ -10,7 +10,8 @@ from covering import pairwise, quick_or_slow
 from headway.config.experiment import ExperimentConfig, RolloutConfig
 from headway.config.schema import build, describe
 from headway.contracts import HeadwayError
-from headway.registry import algo_entries, env_entries
+from headway.registry import algo_entries, env_entries, rule_entry
+from headway.rollout.episodes import evaluate_rule
 from headway.store.run_configuration import upgraded
 from headway_launch.experiments.compose import compose, resolve
 from headway_launch.experiments.options import configs_folder, options, summary_of
@@ -201,7 +202,11 @@ def test_bad_input_of_each_kind_is_one_line(override: str, parts: list[str]) -> 
 @pytest.mark.parametrize(
     ("override", "line"),
     [
-        ("evaluation.rules=[optimum]", r"'optimum' is not a rule of trivial; did you mean optimal\?"),
+        ("evaluation.rules=[optimum]", r"evaluation\.rules: unknown rule 'optimum'; did you mean optimal\?"),
+        (
+            "evaluation.rules=[lookahead]",
+            r"evaluation\.rules: rule lookahead needs an environment that can be",
+        ),
         ("env.training_args.agents=3", r"env\.training_args may change rewards and dynamics, not obs"),
     ],
 )
@@ -211,6 +216,20 @@ def test_what_only_the_environment_can_tell_is_refused_before_anything_starts(
     experiment = compose(["env=trivial", override])
     with pytest.raises(HeadwayError, match=line):
         experiment.prepare()
+
+
+def test_lookahead_plays_beside_wrappers_of_rewards_as_without_them() -> None:
+    words = ["env=merge", "env.args.steps=4", "evaluation.rules=[lookahead:idle:3:1]"]
+    wrapped = "env.wrappers=[{name: scale_reward_v0, scale: 0.5}]"
+    plain, beside = (compose([*words, *more]) for more in ((), (wrapped,)))
+    rows = []
+    for experiment in (plain, beside):
+        make = rule_entry(experiment.env, experiment.rules[0]).make
+        prepared = experiment.prepare().prepared
+        rows.append(evaluate_rule(experiment.env.make, make, prepared, 3, 2))
+    assert rows[0] == rows[1]
+    with pytest.raises(HeadwayError, match="with wrappers of rewards at most"):
+        compose([*words, "env.wrappers=[agent_indicator_v0]"]).prepare()
 
 
 def test_training_arguments_override_environment_arguments() -> None:

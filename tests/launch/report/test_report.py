@@ -356,6 +356,27 @@ def test_a_single_seed_and_missing_rules_are_noted(keep_run: Keep, root: Path) -
     assert "Only one seed each of ia2c, ippo was trained" in text_of(made(root))
 
 
+def test_lookahead_is_the_measure_of_what_could_be_gained_and_not_the_best_rule(
+    keep_run: Keep, root: Path
+) -> None:
+    """On the four episodes of the last evaluation the rules have means of 11.5 and 21.5, the learner 14."""
+    for seed in range(2):
+        keep_run(TRACKING, seed, 12.0 + seed, rules={**RULES, "lookahead": 20.0})
+    report = made(root)
+    text = text_of(report)
+    assert "gap from the best rule, optimal, to lookahead, a reference that simulates the environment" in text
+    assert ": 10; of it ippo closes 25%." in text
+    found = table(report, "interquartile_means").set_index("controller")
+    assert found.loc["ippo", "minus_best_rule"] == pytest.approx(2.5)
+    assert found.loc["rule lookahead", "minus_best_rule"] == pytest.approx(10.0)
+    assert StudyData(root, "study").scale == {"tracking": (-19.5, 10.5)}
+
+
+def test_lookahead_alone_is_no_rule_to_compare_with(keep_run: Keep, root: Path) -> None:
+    keep_run(TRACKING, 0, 12.0, rules={"lookahead": 20.0})
+    assert "No classical rule was run" in text_of(made(root))
+
+
 def test_excluded_runs_are_noted_with_the_reason(keep_run: Keep, root: Path) -> None:
     keep_run(TRACKING, 0, 1.0)
     keep_run(TRACKING, 1, 2.0, status="KILLED")

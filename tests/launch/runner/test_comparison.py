@@ -2,7 +2,7 @@ import pytest
 
 from headway.events import Row
 from headway.stats.intervals import paired_difference, paired_difference_over_seeds
-from headway_launch.runner.comparison import print_comparison
+from headway_launch.runner.comparison import gap_lines, print_comparison
 
 
 def episodes(*returns: float) -> list[Row]:
@@ -45,3 +45,27 @@ def test_few_seeds_print_a_warning(seeds: int, warning: str, capsys: pytest.Capt
 def test_episodes_that_do_not_pair_give_no_interval(capsys: pytest.CaptureFixture[str]) -> None:
     print_comparison("ippo", [episodes(3.0, 5.0, 4.0)], {"hold": episodes(1.0, 2.0)})
     assert printed(capsys)[2][3:6] == ["", "", ""]
+
+
+def test_lookahead_is_a_reference_and_not_the_best_rule() -> None:
+    """Of the gap of 40 from 300 to 340, 310 closes a quarter and 290 loses as much."""
+    rules = {"hold": 300.0, "move": 200.0, "lookahead": 340.0}
+    [line] = gap_lines({"ippo": 310.0, "ia2c": 290.0}, rules)
+    assert line.startswith("gap from the best rule, hold, to lookahead, a reference")
+    assert line.endswith(": 40; of it ippo closes 25%, ia2c closes -25%")
+    [line] = gap_lines({}, rules)
+    assert line.endswith(": 40")
+    [line] = gap_lines({"ippo": 4.0}, {"hold": 5.0, "lookahead:hold:9": 3.0}, sign=-1)
+    assert line.endswith(": 2; of it ippo closes 50%")
+
+
+def test_a_lookahead_that_gains_nothing_shows_no_gap() -> None:
+    [line] = gap_lines({"ippo": 310.0}, {"hold": 300.0, "lookahead": 299.0})
+    assert line == "lookahead is not better than the best rule, hold: it shows no gap to close"
+    assert gap_lines({"ippo": 310.0}, {"hold": 300.0}) == gap_lines({}, {"lookahead": 3.0}) == []
+
+
+def test_the_share_of_the_gap_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    rules = {"hold": episodes(1.0, 3.0), "lookahead": episodes(5.0, 7.0)}
+    print_comparison("ippo", [episodes(3.0, 3.0), episodes(3.0, 3.0)], rules)
+    assert ": 4; of it ippo closes 25%" in capsys.readouterr().err

@@ -5,6 +5,7 @@
 - `passengers`: queues at stops; `motion`: the events of a bus, and the loop over them
 - `spacing`, `upkeep`, `rewards`, `observe`: values derived from the state
 - `day`: start and end of a service day
+- `future`: another future of the same present
 - `tick`: the functions that the environment calls
 """
 

@@ -22,7 +22,7 @@ from headway_envs.keyed_random import episode_key, uniform
 
 
 @compiled
-def _draw_congestion(k: Record, world: World, c: int) -> None:
+def draw_congestion(k: Record, world: World, c: int) -> None:
     """Draw the travel-time factors of the day: a factor of the whole day, the evening peak of weekdays, and
     an autoregressive factor of the network."""
     key = world.days[c].key
@@ -57,7 +57,7 @@ def begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, ep
     world.loads[c] = 0
     world.slots[c] = np.zeros(1, world.slots.dtype)[0]
     world.queues[c] = np.zeros(1, world.queues.dtype)[0]
-    _draw_congestion(k, world, c)
+    draw_congestion(k, world, c)
     for p in range(net.pattern_calls.shape[0] - 1):
         world.patterns[c, p].last_finish = -1.0
         world.patterns[c, p].next_trip = net.pattern_trips[p]
