@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.evaluate import OTHER_EPISODES, add_best_argument
 from headway.rollout.lookahead import is_lookahead
+from headway_launch.commands.evaluate import OTHER_EPISODES, add_best_argument
 from headway_launch.commands.run import add_config_dir_argument
 from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
 
