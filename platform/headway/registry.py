@@ -132,7 +132,7 @@ def rule_entry(env: EnvEntry, name: str) -> RuleEntry:
     return RuleEntry(
         f"reference for what could be gained, slow and not deployable: simulates {steps} steps of {base} "
         f"after every action, in {samples} futures (rollout, Bertsekas 2019); others: {form}",
-        lambda prepared: Lookahead(env.make, prepared, own.make(prepared), steps, samples),
+        lambda prepared: Lookahead(env.make, env.simulated(prepared), own.make(prepared), steps, samples),
     )
 
 

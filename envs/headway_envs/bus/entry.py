@@ -44,6 +44,7 @@ ENTRY = EnvEntry(
         ),
     },
     lookahead="even_headway",
+    simulated=Lazy("headway_envs.bus.prepare:foreseeing_upkeep"),
     metrics=METRIC_DESCRIPTIONS,
     renderer=Lazy("headway_envs.bus.renderer:BusRenderer"),
     preload=("headway_envs.bus.kernel", "headway_envs.bus.env"),

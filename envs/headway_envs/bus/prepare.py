@@ -49,6 +49,13 @@ def prepare_variant(config: BusConfig, other: Prepared) -> Prepared:
     return prepare(config)
 
 
+def foreseeing_upkeep(prepared: Prepared) -> Prepared:
+    """Return the same environment with `reward.foresee_upkeep`, because a bus runs out of fuel hours after it
+    has missed its service."""
+    reward = replace(prepared.config.reward, foresee_upkeep=True)
+    return replace(prepared, config=replace(prepared.config, reward=reward))
+
+
 def prepare_replay(config: BusConfig, tables: Tables | None = None) -> Prepared:
     """Prepare a replay for comparison with measurements: every trip leaves at its observed departure time.
 

@@ -115,6 +115,9 @@ class EnvEntry:
     lookahead: str | None = None
     """Rule that the rule `lookahead` improves on by default; None: batches are no `BranchingEnv`s, and
     there is no such rule."""
+    simulated: Callable[[Any], Any] = _identity
+    """(prepared) -> what `lookahead` simulates: the same environment, possibly with rewards that charge at
+    once what an action will cost beyond the horizon."""
     metrics: Mapping[str, str] = field(default_factory=dict)
     """Description of each episode metric, with its unit, in the order of `EnvSpec.metrics`."""
     renderer: Callable[[Any], Renderer] | None = None

@@ -21,6 +21,9 @@ STEPS, SAMPLES = 30, 16
 """Default horizon, in environment steps, and number of simulated futures."""
 _LOTS = (16, 8, 4, 2, 1)
 """Numbers of joint actions simulated in one batch."""
+_MARGIN = 2.0
+"""Standard errors by which an action must do better than the one it replaces: chance differences of many
+decisions would otherwise undo what the base rule does."""
 
 
 def is_lookahead(rule: str) -> bool:
@@ -35,9 +38,10 @@ class Lookahead:
     """Takes the actions that do best in simulations in which the base rule acts from the next step on.
 
     Agents choose one after another: every allowed action of one is tried while those before it take their
-    choice and those behind it the base rule's action. A joint action's value is its mean return over
-    simulated futures of `steps` steps, the same futures for all joint actions of a step (common random
-    numbers). The rule draws them itself: it knows the dynamics and the present state, not what will happen.
+    choice and those behind it the base rule's action. An action is taken if its mean return over simulated
+    futures of `steps` steps is higher by more than chance; the futures are the same for all joint actions of
+    a step (common random numbers). The rule draws them itself: it knows the dynamics and the present state,
+    not what will happen.
 
     Source: rollout, Bertsekas, "Reinforcement Learning and Optimal Control" (2019), section 2.4; agent by
     agent: Bertsekas 2020, arXiv:1910.00120.
@@ -67,7 +71,7 @@ class Lookahead:
             untried &= observed.action_masks
         rows = np.flatnonzero(untried.any(axis=(1, 2)))
         futures = self._draw.integers(2**63, size=self._samples).astype(np.uint64)
-        values = np.zeros(env.num_copies)
+        values = np.zeros((env.num_copies, self._samples))
         values[rows], acting = self._simulate(env, rows, actions[rows], futures)
         untried[rows] &= acting[..., None]
         for agent in range(env.spec.num_agents):
@@ -76,7 +80,7 @@ class Lookahead:
             tried[:, agent] = choices
             returns, _ = self._simulate(env, copies, tried, futures)
             for copy, choice, value in zip(copies, choices, returns, strict=True):
-                if value > values[copy]:
+                if _is_better(value - values[copy]):
                     values[copy], actions[copy, agent] = value, choice
         return actions
 
@@ -87,11 +91,11 @@ class Lookahead:
         actions: NDArray[np.int64],
         futures: NDArray[np.uint64],
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the value of each of J joint actions (J, N) in copies `rows` (J,) of `env`: (J,).
+        """Return the returns (J, S) of J joint actions (J, N) in copies `rows` (J,) of `env`, in S futures.
 
         Also return which agents acted in any future's first step, (J, N).
         """
-        returns, acting = np.zeros(len(rows)), np.zeros(actions.shape, np.bool_)
+        returns, acting = np.zeros((len(rows), self._samples)), np.zeros(actions.shape, np.bool_)
         begin = 0
         while begin < len(rows):
             size = next(size for size in _LOTS if begin + size <= len(rows))
@@ -122,4 +126,10 @@ class Lookahead:
             outcome, observed = batch.step(self._base.act(batch, observed))
             returns += running * outcome.rewards.mean(axis=1, dtype=np.float64)
             running &= ~outcome.episode_ended
-        return returns.reshape(size, samples).mean(axis=1), acting
+        return returns.reshape(size, samples), acting
+
+
+def _is_better(differences: NDArray[np.float64]) -> bool:
+    """Return whether differences of returns (S,) in the same futures are above 0 on average, by `_MARGIN`."""
+    error = differences.std() / max(len(differences) - 1, 1) ** 0.5
+    return bool(differences.mean() > _MARGIN * error)

@@ -113,6 +113,7 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
         parallel_env=None,
         rules={rule: _rule_behind(rule, own) for rule, own in rules.items()},
         lookahead=None if wrappers else entry.lookahead,
+        simulated=lambda wrapped: replace(wrapped, prepared=entry.simulated(wrapped.prepared)),
         renderer=renderer and (lambda wrapped: renderer(wrapped.prepared)),
     )
 

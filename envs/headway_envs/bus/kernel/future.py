@@ -18,6 +18,7 @@ from headway_envs.bus.kernel.draws import (
 )
 from headway_envs.bus.kernel.layout import Network, Record, World
 from headway_envs.bus.kernel.passengers import draw_next_arrival, update_queue
+from headway_envs.bus.kernel.upkeep import upkeep_potential
 from headway_envs.keyed_random import episode_key
 
 
@@ -54,6 +55,8 @@ def _redraw_copy(net: Network, k: Record, world: World, c: int, seed: np.uint64)
         slot.hazard_limit = slot.hazard + exponential(day.key, HAZARD_LEFT, n, slot.breakdowns)
         if not world.departed[c, slot.trip]:
             slot.trip_factor = unit_lognormal(normal(day.key, TRIP, slot.trip, 0), k.trip_sd)
+        # The source may not use the potential, and then does not keep it up to date.
+        slot.upkeep_ahead = upkeep_potential(net, k, world, c, n)
     now = bin_of(day.now, k.start_s, world.congestion.shape[1] - 1)
     level = world.congestion[c, now]
     draw_congestion(k, world, c)
