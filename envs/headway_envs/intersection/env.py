@@ -12,6 +12,7 @@ from headway_envs.intersection.config import STEP_S
 from headway_envs.intersection.episode_metrics import EpisodeMetrics
 from headway_envs.intersection.layout import ACCOUNT, SCRATCH, STATE_SIZE, Slots
 from headway_envs.intersection.metrics import METRICS
+from headway_envs.intersection.observation import features
 from headway_envs.intersection.prepared import Prepared
 from headway_envs.intersection.sumo.bridge import Changes, SumoBridge
 from headway_envs.intersection.sumo.simulation import Simulation
@@ -49,6 +50,7 @@ class IntersectionBatchedEnv:
             shared_reward=config.reward.kind == "scaled" and config.reward.scope == "team",
             agents_come_and_go=True,
             metrics=METRICS,
+            observation_features=features(prepared),
             max_copies_per_process=1,
         )
         self._actions_shape = (1, config.slots, 1)

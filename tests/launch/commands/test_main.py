@@ -31,6 +31,7 @@ from headway_launch.experiments.compose import compose
         (["list", "searches", "bus_lin"], ["did you mean bus_line?"]),
         (["list", "metrics", "mpe2.simple_spread_v3"], ["its EnvEntry needs `metrics`", "that do: bus, "]),
         (["list", "metrics", "buss"], ["buss", "bus"]),
+        (["list", "observaitons"], ["did you mean headway list observations?"]),
         (["list"], ["KIND", "headway list --help"]),
         (["run", "--fast"], ["--fast", "headway run --help"]),
         (["runs", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
