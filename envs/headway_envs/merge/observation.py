@@ -20,7 +20,7 @@ def features(prepared: Prepared) -> tuple[ObservationFeature, ...]:
 
 def _vehicle(prefix: str, relative: str) -> tuple[ObservationFeature, ...]:
     return (
-        ObservationFeature(f"{prefix}present", "1: there is a vehicle" if prefix else "1"),
+        ObservationFeature(f"{prefix}present", "1: there is a vehicle" if prefix else "always 1"),
         *(
             ObservationFeature(f"{prefix}{axis}", f"position {way}{relative}", "m", scale)
             for axis, way, scale in _AXES
