@@ -83,8 +83,14 @@ def _list_envs(name: str | None) -> None:
         )
     elif name in _file_only_envs():
         _list_group("env")(name)
+    elif keys := describe(env_entry(_require_env(name)).config, "env.args"):
+        _print_descriptions(keys)
     else:
-        _print_descriptions(describe(env_entry(_require_env(name)).config, "env.args"))
+        from headway.adapters.modules import takes_any_keyword
+
+        anything = is_external(name) and takes_any_keyword(name)
+        passed_on = "does not list its arguments: any env.args.KEY=VALUE is passed on to it"
+        print_line(f"{name} {passed_on if anything else 'takes no arguments'}")
 
 
 def _list_algos(name: str | None) -> None:
