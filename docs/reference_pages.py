@@ -17,8 +17,9 @@ from sphinx.pycode import ModuleAnalyzer
 
 from headway.config.experiment import ExperimentConfig
 from headway.config.schema import FieldDescription, describe
+from headway.contracts import HeadwayError
 from headway.registry import algo_entries, env_entries, wrapper_entries
-from headway_launch.commands.listing import algorithm_keys, metrics_of, rules_of
+from headway_launch.commands.listing import algorithm_keys, metrics_of, observation_rows, rules_of
 from headway_launch.commands.main import COMMANDS, run
 from headway_launch.experiments.options import options, summary_of
 
@@ -82,6 +83,8 @@ def _environment(name: str) -> str:
         _keys(describe(entry.config, "env.args")),
     ]
     parts += [
+        "## Observation",
+        _observation(name),
         "## Rules",
         "Controllers that do not learn, evaluated beside the learners.",
         _definitions(rules),
@@ -90,6 +93,19 @@ def _environment(name: str) -> str:
         parts += ["## Metrics", "Of an episode, in columns such as `evaluation_greedy/return`."]
         parts.append(_definitions(metrics))
     return "\n\n".join(parts)
+
+
+def _observation(name: str) -> str:
+    """Return the table of an observation's numbers with the default arguments."""
+    try:
+        rows = observation_rows(name)
+    except HeadwayError:  # a simulator is not installed
+        return f"`headway list observations {name}` prints it."
+    lines = [
+        f"| {index} | `{term}` | {unit} | {scale} | {_escaped(text)} |"
+        for index, term, unit, scale, text in rows
+    ]
+    return "\n".join(["| index | name | unit | scale | meaning |", "|---:|---|---|---:|---|", *lines])
 
 
 def _algorithms() -> str:

@@ -1,9 +1,9 @@
 """Public interface of the environments: what packages, scripts and notebooks import from `headway_envs`.
 
 `ENTRIES` names every environment; `ENTRIES["merge"].parallel_env(MergeConfig())` is a PettingZoo ParallelEnv.
-`ArrayEnv` and `from_batched` help to write one's own; the remaining functions read, simulate and draw bus
-scenarios. Importing this module imports no compiled kernel, no pandas and no SUMO. Every other module of the
-package is private.
+`ArrayEnv` and `from_batched` help to write one's own; `write_sumo_scenario` writes an episode of the
+intersection for SUMO; the remaining functions read, simulate and draw bus scenarios. Importing this module
+imports no compiled kernel, no pandas and no SUMO. Every other module of the package is private.
 """
 
 from typing import TYPE_CHECKING
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from headway_envs.bus.scenario.measures import link_loads
     from headway_envs.bus.scenario.plots import plot_scenario
     from headway_envs.bus.scenario.source import scenario_tables
+    from headway_envs.intersection.sumo.scenario import write_sumo_scenario
     from headway_envs.parallel_env import ParallelEnvBase, from_batched
 
 __all__ = [
@@ -48,6 +49,7 @@ __all__ = [
     "prepare_replay",
     "scenario_tables",
     "simulated_days",
+    "write_sumo_scenario",
 ]
 _REALISM, _SCENARIO = "headway_envs.bus.realism", "headway_envs.bus.scenario"
 __getattr__ = lazy_attributes(
@@ -68,5 +70,6 @@ __getattr__ = lazy_attributes(
         "prepare_replay": "headway_envs.bus.prepare:prepare_replay",
         "scenario_tables": f"{_SCENARIO}.source:scenario_tables",
         "simulated_days": f"{_REALISM}.calls:simulated_days",
+        "write_sumo_scenario": "headway_envs.intersection.sumo.scenario:write_sumo_scenario",
     },
 )

@@ -4,9 +4,6 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
-from headway.registry import env_entries
 from headway_envs.api import IntersectionConfig
 from headway_launch.experiments.compose import compose
 
@@ -22,33 +19,6 @@ def _rows(page: str, heading: str) -> Iterator[list[str]]:
         if not line.startswith("|"):
             return
         yield [cell.strip() for cell in line.strip("|").split("|")]
-
-
-def _entries(cell: str) -> list[int]:
-    """Return the entries that a cell such as `16, 17` or `18 to 41` names."""
-    first, _, last = cell.partition(" to ")
-    return list(range(int(first), int(last) + 1)) if last else [int(each) for each in cell.split(",")]
-
-
-@pytest.mark.parametrize(
-    ("page", "environment", "groups"),
-    [
-        ("bus", "bus", 1),
-        ("bus_published", "bus_published", 1),
-        ("intersection", "intersection", 1),
-        ("merge", "merge", 5),
-    ],
-)
-def test_the_table_of_an_observation_has_each_of_its_entries(
-    page: str, environment: str, groups: int
-) -> None:
-    """`groups`: number of times that the entries of the table stand in an observation."""
-    entry = env_entries()[environment]
-    env = entry.make(entry.prepare(entry.config()), 1)
-    size = env.spec.observation_size
-    env.close()
-    named = [each for row in _rows(f"environments/{page}.md", "## Observation") for each in _entries(row[0])]
-    assert named == list(range(size // groups))
 
 
 def test_the_weights_of_the_intersection_are_its_defaults() -> None:

@@ -85,6 +85,7 @@ def test_every_link_within_the_site_leads_to_a_page_and_a_place_on_it(site: Path
         (["envs", "bus"], "environments/bus"),
         (["rules", "bus"], "environments/bus"),
         (["metrics", "bus"], "environments/bus"),
+        (["observations", "bus"], "environments/bus"),
         (["algos", "mappo"], "algorithms/mappo"),
         (["algos", "ddpg"], "algorithms/ddpg"),
         (["keys"], "configuration"),
@@ -101,7 +102,7 @@ def test_the_reference_has_what_the_terminal_lists(
     assert run(["list", *words]) == 0
     header, *rows = capsys.readouterr().out.splitlines()
     columns = header.split("\t")
-    place = 1 if columns[1] in ("rule", "metric") else 0
+    place = 1 if columns[1] in ("rule", "metric", "name") else 0
     names = [row.split("\t")[place] for row in rows if words != ["keys"] or not row.split("\t")[3]]
     text = _Page(site / "reference" / f"{page}.html").text
     # Keys of an algorithm or environment, named in column "of", have pages of their own.

@@ -12,6 +12,7 @@ from headway_envs.bus.kernel.allocation import allocate_trace, allocate_world, s
 from headway_envs.bus.kernel.future import redraw
 from headway_envs.bus.kernel.layout import OBSERVATION_SIZES, Outputs, World
 from headway_envs.bus.metrics import METRICS
+from headway_envs.bus.observation import features
 from headway_envs.bus.prepared import Prepared
 
 _WAITING = ("arrived_at", "leaves_at")
@@ -51,6 +52,7 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
             has_action_mask=True,
             agents_come_and_go=True,
             metrics=METRICS,
+            observation_features=features(prepared),
             snapshots=True,
         )
         self.outputs = Outputs(**self._arrays(copies, Outputs._fields))

@@ -18,6 +18,7 @@ from headway_envs.bus_published.kernel.layout import (
     World,
 )
 from headway_envs.bus_published.metrics import METRICS
+from headway_envs.bus_published.observation import features
 from headway_envs.bus_published.prepared import Prepared
 
 
@@ -42,6 +43,7 @@ class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
             groups=prepared.groups,
             shared_reward=prepared.config.reward.scope == "team",
             metrics=METRICS,
+            observation_features=features(prepared),
             snapshots=True,
         )
         self.outputs = Outputs(**self._arrays(copies, Outputs._fields))

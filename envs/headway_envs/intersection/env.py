@@ -6,14 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Box, EnvSpec, HeadwayError, Observations, StepResult, generator
+from headway.contracts import Box, EnvSpec, HeadwayError, Observations, StepResult
 from headway_envs.intersection import kernel
-from headway_envs.intersection.config import STEP_S
 from headway_envs.intersection.episode_metrics import EpisodeMetrics
 from headway_envs.intersection.layout import ACCOUNT, SCRATCH, STATE_SIZE, Slots
 from headway_envs.intersection.metrics import METRICS
+from headway_envs.intersection.observation import features
 from headway_envs.intersection.prepared import Prepared
 from headway_envs.intersection.sumo.bridge import Changes, SumoBridge
+from headway_envs.intersection.sumo.scenario import episode_draws
 from headway_envs.intersection.sumo.simulation import Simulation
 from headway_envs.step_arrays import step_arrays, step_result
 
@@ -49,6 +50,7 @@ class IntersectionBatchedEnv:
             shared_reward=config.reward.kind == "scaled" and config.reward.scope == "team",
             agents_come_and_go=True,
             metrics=METRICS,
+            observation_features=features(prepared),
             max_copies_per_process=1,
         )
         self._actions_shape = (1, config.slots, 1)
@@ -76,7 +78,7 @@ class IntersectionBatchedEnv:
         """Vehicles and simulation, for rules and pictures; created at the first use."""
         if self._street is None:
             prepared = self.prepared
-            simulation = Simulation(prepared.network.path, prepared.routes, STEP_S)
+            simulation = Simulation(prepared.network.path, prepared.routes)
             self._street = SumoBridge(prepared.config, prepared.network, simulation)
         return self._street
 
@@ -172,8 +174,7 @@ class IntersectionBatchedEnv:
     def _begin(self) -> None:
         self.counters, self.crash_places = EpisodeMetrics(self.config), []
         self._account.fill(0)
-        draw = generator(self._seed, "intersection", self._episode)
-        self.bridge.begin(int(draw.integers(2**31 - 1)), draw)
+        self.bridge.begin(*episode_draws(self._seed, self._episode))
         self._slots.observations.fill(0)
         self._slots.alive.fill(False)
 

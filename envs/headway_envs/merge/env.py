@@ -20,6 +20,7 @@ from headway_envs.merge.kernel.layout import (
     World,
 )
 from headway_envs.merge.metrics import METRICS
+from headway_envs.merge.observation import features
 from headway_envs.merge.prepared import Prepared
 
 
@@ -49,6 +50,7 @@ class MergeBatchedEnv(ArrayEnv[World, Outputs]):
             has_action_mask=config.dynamics.masks,
             agents_come_and_go=True,
             metrics=METRICS,
+            observation_features=features(prepared),
             snapshots=True,
         )
         arrays = self._arrays(copies, Outputs._fields)

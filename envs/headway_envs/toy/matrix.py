@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult
+from headway.contracts import BatchedEnv, Discrete, EnvSpec, ObservationFeature, Observations, StepResult
 from headway.contracts.checks import require_key
 from headway_envs.toy.toy_env import ToyEnv
 
@@ -50,6 +50,10 @@ class Matrix(ToyEnv):
             state_size=1,
             shared_reward=True,
             metrics=("optimal",),
+            observation_features=(
+                ObservationFeature("row", "1 for the agent `row`, else 0"),
+                ObservationFeature("column", "1 for the agent `column`, else 0"),
+            ),
             snapshots=True,
         )
         super().__init__(spec, copies)

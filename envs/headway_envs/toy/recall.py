@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult, generator
+from headway.contracts import (
+    BatchedEnv,
+    Discrete,
+    EnvSpec,
+    ObservationFeature,
+    Observations,
+    StepResult,
+    generator,
+)
 from headway.contracts.checks import require_at_least
 from headway_envs.toy.toy_env import ToyEnv
 
@@ -45,6 +53,13 @@ class Recall(ToyEnv):
             observation_size=config.cues + 1,
             action_space=Discrete(config.cues),
             metrics=("recalled",),
+            observation_features=(
+                *(
+                    ObservationFeature(f"cue_{cue}", "1 at the first step if the cue is this one, else 0")
+                    for cue in range(config.cues)
+                ),
+                ObservationFeature("answer_due", "1 at the last step, else 0"),
+            ),
             snapshots=True,
         )
         super().__init__(spec, copies)

@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Box, EnvSpec, Observations, StepResult, generator
+from headway.contracts import (
+    BatchedEnv,
+    Box,
+    EnvSpec,
+    ObservationFeature,
+    Observations,
+    StepResult,
+    generator,
+)
 from headway.contracts.checks import require_at_least, require_value
 from headway_envs.toy.toy_env import ToyEnv
 
@@ -82,6 +90,13 @@ class Tracking(ToyEnv):
             action_space=Box((-2.0,) * DIMENSIONS, (2.0,) * DIMENSIONS),
             state_size=(n + 1) * DIMENSIONS,
             metrics=("distance", "effort"),
+            observation_features=(
+                *(ObservationFeature(f"offset_{axis}", "target minus position") for axis in "xy"),
+                *(
+                    ObservationFeature(f"velocity_{axis}", "velocity of the target, per step")
+                    for axis in "xy"
+                ),
+            ),
             snapshots=True,
         )
         super().__init__(spec, copies)

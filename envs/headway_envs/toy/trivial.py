@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult, generator
+from headway.contracts import (
+    BatchedEnv,
+    Discrete,
+    EnvSpec,
+    ObservationFeature,
+    Observations,
+    StepResult,
+    generator,
+)
 from headway.contracts.checks import require_at_least
 from headway_envs.toy.toy_env import ToyEnv
 
@@ -54,6 +62,13 @@ class Trivial(ToyEnv):
             state_size=agents * OBSERVATION_SIZE,
             shared_reward=True,
             metrics=("accuracy",),
+            observation_features=(
+                *(
+                    ObservationFeature(f"number_{action}", "random, -1 to 1; the largest names the action")
+                    for action in range(NUM_ACTIONS)
+                ),
+                ObservationFeature("distraction", "random, -1 to 1, and of no use"),
+            ),
             snapshots=True,
         )
         super().__init__(spec, copies)

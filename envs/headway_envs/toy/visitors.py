@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, Discrete, EnvSpec, Observations, StepResult, generator
+from headway.contracts import (
+    BatchedEnv,
+    Discrete,
+    EnvSpec,
+    ObservationFeature,
+    Observations,
+    StepResult,
+    generator,
+)
 from headway.contracts.checks import require_at_least
 from headway_envs.toy.toy_env import ToyEnv
 
@@ -94,6 +102,13 @@ class Visitors(ToyEnv):
             has_action_mask=True,
             agents_come_and_go=True,
             metrics=("regret", "disallowed", "choices"),
+            observation_features=(
+                *(
+                    ObservationFeature(f"value_{option}", "reward for choosing this option, if it is allowed")
+                    for option in range(OPTIONS)
+                ),
+                ObservationFeature("ready", "1 if the agent's choice will be used, else 0"),
+            ),
             snapshots=True,
         )
         super().__init__(spec, copies)

@@ -127,7 +127,9 @@ def _of_kinds(**_: object) -> Iterable[str]:
 
 def _of_names(parsed_args: argparse.Namespace, **_: object) -> Iterable[str]:
     """Return the names that `headway list KIND` takes."""
-    group = {"rules": "env", "metrics": "env", "searches": "search"}.get(parsed_args.kind)
+    group = {"rules": "env", "metrics": "env", "observations": "env", "searches": "search"}.get(
+        parsed_args.kind
+    )
     return option_names(group or str(parsed_args.kind).removesuffix("s"))
 
 

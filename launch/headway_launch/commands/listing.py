@@ -2,7 +2,7 @@
 
 import argparse
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import yaml
@@ -38,6 +38,8 @@ examples:
   headway list algos mappo     hyper-parameters of one algorithm (algo.KEY=VALUE)
   headway list rules bus       classical rules of one environment
   headway list metrics bus     episode metrics of one environment, with units
+  headway list observations bus                the numbers of an observation, with units and scales
+  headway list observations bus env.args.observation=paper      with keys as in `headway run`
   headway list experiments     names for `headway run experiment=NAME`
   headway list searches        names for `headway search NAME`
   headway list keys            all keys of an experiment
@@ -51,6 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add KIND and NAME."""
     parser.add_argument("kind", metavar="KIND", help=", ".join(KINDS))
     parser.add_argument("name", metavar="NAME", nargs="?", help="show this one in full")
+    parser.add_argument(
+        "overrides", metavar="KEY=VALUE", nargs="*", help="keys of the environment, for observations only"
+    )
     add_config_dir_argument(parser)
 
 
@@ -60,7 +65,11 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(
             f"{arguments.kind!r} cannot be listed; {suggestion(arguments.kind, KINDS, 'headway list ')}"
         )
-    KINDS[arguments.kind](arguments.name)
+    if arguments.overrides and arguments.kind != "observations":
+        raise HeadwayError(
+            f"headway list {arguments.kind} takes one name: leave out {' '.join(arguments.overrides)}"
+        )
+    KINDS[arguments.kind](arguments.name, *arguments.overrides)
     return 0
 
 
@@ -76,8 +85,14 @@ def _list_envs(name: str | None) -> None:
         )
     elif name in _file_only_envs():
         _list_group("env")(name)
+    elif keys := describe(env_entry(_require_env(name)).config, "env.args"):
+        _print_descriptions(keys)
     else:
-        _print_descriptions(describe(env_entry(_require_env(name)).config, "env.args"))
+        from headway.adapters.modules import takes_any_keyword
+
+        anything = is_external(name) and takes_any_keyword(name)
+        passed_on = "does not list its arguments: any env.args.KEY=VALUE is passed on to it"
+        print_line(f"{name} {passed_on if anything else 'takes no arguments'}")
 
 
 def _list_algos(name: str | None) -> None:
@@ -181,6 +196,33 @@ def _list_metrics(name: str | None) -> None:
     print_table(("environment", "metric", "description"), rows, whole=("metric",), spare=("environment",))
 
 
+def observation_rows(name: str, overrides: Sequence[str] = ()) -> list[tuple[str, ...]]:
+    """Return index, name, unit, scale and meaning of each number of an environment's observation, as its
+    arguments and wrappers make it.
+
+    Raises HeadwayError if the environment cannot be made or does not describe them.
+    """
+    from headway_launch.experiments.compose import compose
+
+    spec = compose([f"env={name}", *overrides]).prepare().spec
+    if not spec.observation_features:
+        raise HeadwayError(
+            f"{name} does not describe the {spec.observation_size} numbers of its observations; "
+            "an environment with an EnvEntry does so by `observation_features` in its EnvSpec"
+        )
+    return [
+        (str(index), feature.name, feature.unit, f"{feature.scale:.10g}", feature.meaning)
+        for index, feature in enumerate(spec.observation_features)
+    ]
+
+
+def _list_observations(name: str | None, *overrides: str) -> None:
+    if name is None:
+        raise HeadwayError("name an environment, such as `headway list observations bus`")
+    rows = observation_rows(name, overrides)
+    print_table(("index", "name", "unit", "scale", "meaning"), rows, whole=("name",))
+
+
 def _list_keys(word: str | None) -> None:
     """Print every key, or those whose name, or else whose description, contains `word`.
 
@@ -240,12 +282,13 @@ COMMON_METRICS = {
     "return": "sum of rewards over the episode, mean over agents",
 }
 """Metrics of every environment."""
-KINDS: Mapping[str, Callable[[str | None], None]] = {
+KINDS: Mapping[str, Callable[..., None]] = {
     "envs": _list_envs,
     "algos": _list_algos,
     "wrappers": _list_wrappers,
     "rules": _list_rules,
     "metrics": _list_metrics,
+    "observations": _list_observations,
     "experiments": _list_group("experiment"),
     "presets": _list_group("preset"),
     "searches": _list_group("search"),

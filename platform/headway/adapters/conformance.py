@@ -66,6 +66,11 @@ def check_spec(make: Make, recording: Recording) -> None:
     assert len(spec.groups) in (0, spec.num_agents), "groups must name each agent's group, or be empty"
     assert len(set(spec.metrics)) == len(spec.metrics), "metrics need different names"
     assert spec.observation_size > 0, "observations need at least one component"
+    features = [feature.name for feature in spec.observation_features]
+    assert len(features) in (0, spec.observation_size), (
+        "observation_features must name each number, or be empty"
+    )
+    assert len(set(features)) == len(features), "observation_features need different names"
     copies = min(recording.copies, 2)
     env = make(copies)
     assert env.num_copies == copies, "num_copies is not the number requested"

@@ -94,6 +94,12 @@ def module_entry(
     )
 
 
+def takes_any_keyword(module: str) -> bool:
+    """Return whether the environment in a module or file, or with the id MODULE:ID, accepts any keyword, so
+    that its arguments are not known. Raises HeadwayError as `module_entry` does."""
+    return _callables(module, EnvFile.read(module) if is_file_id(module) else None)[1] is None
+
+
 def make_batch(prepared: ModuleEnv, copies: int) -> BatchedEnv:
     """Return a batch of `copies` copies: `EnvEntry.make` of module environments."""
     return ParallelEnvBatch(prepared.make, copies, prepared.module, prepared.options)

@@ -23,7 +23,14 @@ Environments and algorithms import nothing else of `headway`; other packages imp
 from headway.contracts.acting_policy import ActingPolicy, RecurrentPolicy
 from headway.contracts.checks import require_value
 from headway.contracts.entries import AlgoEntry, EnvEntry, Renderer, Rule, RuleEntry
-from headway.contracts.environment import BatchedEnv, BranchingEnv, EnvSpec, Observations, StepResult
+from headway.contracts.environment import (
+    BatchedEnv,
+    BranchingEnv,
+    EnvSpec,
+    ObservationFeature,
+    Observations,
+    StepResult,
+)
 from headway.contracts.errors import HeadwayError
 from headway.contracts.lazy import Lazy
 from headway.contracts.learner import (
@@ -65,6 +72,7 @@ __all__ = [
     "LearnerWithReplay",
     "MultiDiscrete",
     "ObservationBounds",
+    "ObservationFeature",
     "Observations",
     "PolicyNetwork",
     "PublishedResult",

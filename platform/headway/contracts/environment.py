@@ -1,12 +1,26 @@
 """The batched environment: C copies, stepped at once with arrays."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts.spaces import ActionSpace, Box
+
+
+@dataclass(frozen=True)
+class ObservationFeature:
+    """One number of an observation: a quantity divided by `scale`."""
+
+    name: str
+    """Name, different from those of the observation's other numbers."""
+    meaning: str
+    """One line: the quantity, then any bounds of the number itself."""
+    unit: str = ""
+    """Unit of the quantity; empty: it has none."""
+    scale: float = 1.0
+    """Value of the quantity, in its unit, at which the number is 1."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +57,8 @@ class EnvSpec:
     snapshots: bool = False
     """`snapshot` and `restore` work, so that resuming and collecting again are exact. False: both raise
     HeadwayError."""
+    observation_features: tuple[ObservationFeature, ...] = field(default=(), compare=False)
+    """The D numbers of an observation in order; empty: the environment does not describe them."""
 
     @property
     def num_agents(self) -> int:

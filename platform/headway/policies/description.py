@@ -2,14 +2,14 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import ActionSpace, Box, Discrete, MultiDiscrete, PolicyNetwork
-from headway.policies.stored_spec import space_json, space_of
+from headway.contracts import ActionSpace, Box, Discrete, MultiDiscrete, ObservationFeature, PolicyNetwork
+from headway.policies.stored_spec import features_of, space_json, space_of
 
 Arrays = Mapping[str, NDArray[Any]]
 _FORMAT = 1
@@ -34,6 +34,11 @@ class PolicyDescription:
     """Dtype of the network's arrays, inputs and hidden states: float32 or float64."""
     origin: Mapping[str, Any]
     """Where the policy is from, as JSON values: run, algorithm, environment, iteration, versions."""
+    observation_features: tuple[ObservationFeature, ...] = ()
+    """The D numbers of an observation in order; empty: the environment does not describe them."""
+    normalisation: Mapping[str, Any] = field(default_factory=dict)
+    """What the network does to observations first, clip((x - mean) * scale, -clip, clip): `mean` and `scale`,
+    (D,) per policy, and `clip`, as JSON values. Empty: nothing."""
 
     @property
     def num_actions(self) -> tuple[int, ...]:
@@ -80,6 +85,8 @@ class PolicyDescription:
             "network": asdict(self.network),
             "precision": self.precision,
             "origin": self.origin,
+            "observation_features": [asdict(feature) for feature in self.observation_features],
+            "normalisation": self.normalisation,
         }
         return json.dumps(content, default=str)
 
@@ -102,6 +109,8 @@ class PolicyDescription:
             PolicyNetwork(**network),
             str(np.dtype(content["precision"])),
             dict(content["origin"]),
+            features_of(content.get("observation_features", ())),
+            dict(content.get("normalisation", {})),
         )
         description._check()
         return description
@@ -118,6 +127,7 @@ class PolicyDescription:
             network.output in (("logits", "values") if self.num_actions else ("mean", "tanh")),
             network.hidden_layers >= 0 and network.hidden_size >= 0 and network.observation_clip >= 0,
             self.precision in ("float32", "float64"),
+            len(self.observation_features) in (0, self.observation_size),
         )
         if not all(fits):
             raise ValueError("its agents and its network do not fit each other")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from headway.contracts import ActionSpace, Box, HeadwayError
+from headway.contracts import ActionSpace, Box, HeadwayError, ObservationFeature
 from headway.contracts.errors import one_line
 from headway.contracts.spaces import allows_action
 from headway.policies.description import Arrays, PolicyDescription
@@ -49,6 +49,12 @@ class Policy:
     def observation_size(self) -> int:
         """D: length of an agent's observation."""
         return self.description.observation_size
+
+    @property
+    def observation_features(self) -> tuple[ObservationFeature, ...]:
+        """The D numbers of an observation in order, with names, units and scales; empty: the environment does
+        not describe them."""
+        return self.description.observation_features
 
     @property
     def action_space(self) -> ActionSpace:

@@ -1,11 +1,11 @@
 """Action spaces and environment specifications as JSON values."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from math import inf, isinf
 from typing import Any
 
-from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, MultiDiscrete
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, MultiDiscrete, ObservationFeature
 
 
 def space_json(space: ActionSpace) -> dict[str, Any]:
@@ -41,4 +41,11 @@ def spec_of(content: Mapping[str, Any]) -> EnvSpec:
     values: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in content.items()
     }
-    return EnvSpec(**{**values, "action_space": space_of(content["action_space"])})
+    features = features_of(content.get("observation_features", ()))
+    space = space_of(content["action_space"])
+    return EnvSpec(**{**values, "action_space": space, "observation_features": features})
+
+
+def features_of(content: Iterable[Mapping[str, Any]]) -> tuple[ObservationFeature, ...]:
+    """Return features of observations from their JSON values. Raises TypeError if they are none."""
+    return tuple(ObservationFeature(**feature) for feature in content)

@@ -9,7 +9,7 @@ from headway.adapters.env_file import is_file_id
 from headway.algorithms import chosen_algo
 from headway.config.experiment import EnvConfig, ExperimentConfig
 from headway.config.schema import build
-from headway.contracts import DescribedPolicy, EnvSpec, HeadwayError
+from headway.contracts import DescribedPolicy, EnvSpec, HeadwayError, PolicyNetwork
 from headway.environments import chosen_env
 from headway.policies.description import Arrays, PolicyDescription
 from headway.policies.stored_spec import spec_of
@@ -77,6 +77,8 @@ class TrainedRun:
             acting.network,
             str(arrays["weight_0"].dtype),
             _origin(record, mapping, iteration),
+            spec.observation_features,
+            _normalisation(acting.network, arrays, spec.observation_size),
         )
         return cls(description, arrays, acting, parameters, spec, notices)
 
@@ -88,6 +90,14 @@ def _prepared_spec(config: EnvConfig) -> EnvSpec:
     prepared = env.entry.prepare(build(env.entry.config, config.args, "env.args", config.id))
     with closing(env.entry.make(prepared, 1)) as one:
         return one.spec
+
+
+def _normalisation(network: PolicyNetwork, arrays: Arrays, size: int) -> dict[str, Any]:
+    """Return the network's normalisation of the D = `size` numbers of an observation, as JSON values."""
+    if not network.observation_clip:
+        return {}
+    named = {name: arrays[f"observation_{name}"][:, 0, :size].tolist() for name in ("mean", "scale")}
+    return {**named, "clip": network.observation_clip}
 
 
 def _origin(record: RunRecord, mapping: dict[str, Any], iteration: int) -> dict[str, Any]:

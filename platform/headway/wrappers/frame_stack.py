@@ -43,7 +43,12 @@ class FrameStackBatch(BatchWrapper):
     def __init__(self, inner: BatchedEnv, size: int, repeat_first: bool = False) -> None:
         spec = inner.spec
         copies, n, d = inner.num_copies, spec.num_agents, spec.observation_size
-        super().__init__(inner, replace(spec, observation_size=size * d))
+        features = tuple(
+            replace(feature, name=f"{feature.name}[t-{age}]" if age else f"{feature.name}[t]")
+            for age in reversed(range(size))
+            for feature in spec.observation_features
+        )
+        super().__init__(inner, replace(spec, observation_size=size * d, observation_features=features))
         self._repeat_first = repeat_first
         self._frames = np.zeros((copies, n, size, d), dtype=np.float32)
         self._finals = np.zeros_like(self._frames)

@@ -17,6 +17,7 @@ from headway.contracts import (
     BatchWrapper,
     HeadwayError,
     ObservationBounds,
+    ObservationFeature,
     Observations,
     StepResult,
 )
@@ -75,11 +76,20 @@ class ChangedObservations(BatchWrapper):
     """Changes each observation by a function of its own values.
 
     `write(observations, out)` fills `out` (C, N, size) from `observations` (C, N, D). Rows of absent agents
-    are unspecified before and after. `write` must be picklable.
+    are unspecified before and after. `write` must be picklable. `appended`: features that follow the inner
+    environment's, unchanged; None: the wrapper changes these, so none are described.
     """
 
-    def __init__(self, inner: BatchedEnv, size: int, write: Callable[[Floats, Floats], None]) -> None:
-        super().__init__(inner, replace(inner.spec, observation_size=size))
+    def __init__(
+        self,
+        inner: BatchedEnv,
+        size: int,
+        write: Callable[[Floats, Floats], None],
+        appended: tuple[ObservationFeature, ...] | None = None,
+    ) -> None:
+        own = inner.spec.observation_features
+        features = (*own, *appended) if own and appended is not None else ()
+        super().__init__(inner, replace(inner.spec, observation_size=size, observation_features=features))
         self._write = write
         shape = (inner.num_copies, inner.spec.num_agents, size)
         self._observations = np.zeros(shape, dtype=np.float32)
@@ -122,7 +132,11 @@ def batched_agent_indicator(arguments: AgentIndicator, bounds: ObservationBounds
     suffix[np.arange(len(types)), [columns[agent_type] for agent_type in types]] = height
     pad = np.full(len(columns), bounds.high.min(), dtype=np.float32)
     low, high = np.append(bounds.low, np.zeros_like(pad)), np.append(bounds.high, pad)
-    wrap = partial(ChangedObservations, size=len(low), write=partial(_append, suffix))
+    features = tuple(
+        ObservationFeature(f"is_{name}", f"positive for {name}, else 0", scale=float(height))
+        for name in columns
+    )
+    wrap = partial(ChangedObservations, size=len(low), write=partial(_append, suffix), appended=features)
     return BatchedWrapper(wrap, replace(bounds, low=low, high=high))
 
 

@@ -10,7 +10,6 @@ from played import begun
 from headway_envs.intersection import kernel
 from headway_envs.intersection.config import TERMS, IntersectionConfig, RewardConfig
 from headway_envs.intersection.episode_metrics import EpisodeMetrics, jain
-from headway_envs.intersection.human_drivers import acceleration
 from headway_envs.intersection.layout import (
     ACCOUNT,
     CROSSING,
@@ -25,6 +24,7 @@ from headway_envs.intersection.layout import (
     Traffic,
 )
 from headway_envs.intersection.metrics import METRICS
+from headway_envs.intersection.sumo.human_drivers import acceleration
 from headway_envs.intersection.sumo.simulation import libsumo
 
 Open = Callable[..., Any]

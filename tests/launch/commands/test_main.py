@@ -31,6 +31,7 @@ from headway_launch.experiments.compose import compose
         (["list", "searches", "bus_lin"], ["did you mean bus_line?"]),
         (["list", "metrics", "mpe2.simple_spread_v3"], ["its EnvEntry needs `metrics`", "that do: bus, "]),
         (["list", "metrics", "buss"], ["buss", "bus"]),
+        (["list", "observaitons"], ["did you mean headway list observations?"]),
         (["list"], ["KIND", "headway list --help"]),
         (["run", "--fast"], ["--fast", "headway run --help"]),
         (["runs", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
@@ -234,3 +235,19 @@ def test_a_lack_of_memory_is_one_line_that_says_what_to_lower(
     line = refused("runs")
     assert text in line
     assert "rollout.copies" in line
+
+
+@pytest.mark.parametrize(
+    ("parameters", "says"),
+    [
+        ("**kwargs", "does not list its arguments: any env.args.KEY=VALUE is passed on to it"),
+        ("", "takes no arguments"),
+    ],
+)
+def test_an_environment_without_listed_arguments_says_why(
+    parameters: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "quay.py"
+    file.write_text(f"def parallel_env({parameters}):\n    raise NotImplementedError\n")
+    assert run(["list", "envs", str(file)]) == 0
+    assert capsys.readouterr().err == f"{file} {says}\n"

@@ -55,6 +55,14 @@ def test_the_parent_is_named_with_its_cost(
     assert words in re.sub(r"\s+", " ", (tmp_path / "report.html").read_text())
 
 
+def test_the_run_that_starts_from_another_says_so(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    [parent] = (root / "default").glob("*-s1-*")
+    words = ["env=trivial", "algo=ippo", "backend=serial", *SMALL, f"store.root={root}", "study=cousins"]
+    assert run(["run", *words, "seed=5", f"start.run={parent.name}"]) == 0
+    out, err = capsys.readouterr()
+    assert f"ippo started from run {parent.name} (ippo on trivial), whose 192 steps" in out + err
+
+
 def test_a_parent_that_was_deleted_is_no_error(root: Path, tmp_path: Path) -> None:
     shutil.copytree(root / "children", tmp_path / "children")
     [child] = (tmp_path / "children").glob("*-s2-*")

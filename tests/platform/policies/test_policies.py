@@ -25,10 +25,12 @@ from headway.contracts import (
     EnvSpec,
     HeadwayError,
     MultiDiscrete,
+    ObservationFeature,
     Observations,
     RecurrentPolicy,
 )
 from headway.policies import trained_run
+from headway.policies.description import PolicyDescription
 from headway.policies.files import FORMATS, policy_bytes, read_policy
 from headway.policies.parity import require_parity
 from headway.policies.stored_spec import spec_json, spec_of
@@ -281,6 +283,45 @@ def test_a_run_that_did_not_store_its_specification_prepares_the_environment(tmp
     del plan["spec"]
     (folder / "plan.json").write_text(json.dumps(plan))
     assert load_policy(folder).description == before
+
+
+FEATURES = tuple(ObservationFeature(f"x{i}", f"number {i}", "m", 2.0 + i) for i in range(SIZE))
+
+
+@pytest.mark.parametrize("form", ["npz", "onnx", "folder"])
+def test_the_description_of_observations_travels_with_a_policy(form: str, tmp_path: Path) -> None:
+    if form == "onnx":
+        pytest.importorskip("onnx")
+        pytest.importorskip("onnxruntime")
+    source = keep_made(tmp_path, "ippo", replace(spec_with(BOX), observation_features=FEATURES))[0]
+    if form != "folder":
+        run = TrainedRun.read(source)
+        source = tmp_path / f"policy{FORMATS[form].suffix}"
+        source.write_bytes(policy_bytes(form, run.description, run.arrays))
+    assert load_policy(source).observation_features == FEATURES
+
+
+def test_the_described_normalisation_is_the_network_s(tmp_path: Path) -> None:
+    """Numbers beyond the bounds that it describes change nothing; numbers within them do."""
+    policy = load_policy(kept(tmp_path, "box")[0])
+    told = policy.description.normalisation
+    mean, scale = np.array(told["mean"]), np.array(told["scale"])
+    assert mean.shape == scale.shape == (AGENTS, SIZE)  # a network per agent
+    edge, beyond, within = (
+        policy.evaluate((mean + part * told["clip"] / scale)[None].astype(np.float32), None, None).outputs[0]
+        for part in (1.01, 3.0, 0.8)
+    )
+    np.testing.assert_allclose(edge, beyond, atol=1e-6)
+    assert (np.abs(edge - within).max(axis=-1) > 1e-4).all()
+    assert load_policy(kept(tmp_path / "other", "not normalised")[0]).description.normalisation == {}
+
+
+def test_a_file_of_a_version_that_did_not_describe_observations_is_read(tmp_path: Path) -> None:
+    run = kept(tmp_path, "box")[1]
+    content = json.loads(run.description.to_json())
+    del content["observation_features"], content["normalisation"]
+    older = PolicyDescription.from_json(json.dumps(content))
+    assert older == replace(run.description, normalisation={})
 
 
 @pytest.mark.parametrize("space", [Discrete(3), MultiDiscrete((2, 4)), BOX])

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from headway_envs.intersection.config import STEP_S, IntersectionConfig
 from headway_envs.intersection.demand import AV, HDV, MIN_GAP_M
-from headway_envs.intersection.human_drivers import next_speeds
 from headway_envs.intersection.kernel import target_speeds
 from headway_envs.intersection.layout import (
     CROSSING,
@@ -22,6 +21,7 @@ from headway_envs.intersection.layout import (
     Floats,
 )
 from headway_envs.intersection.network import APPROACHES, LINKS, ROAD_M, Network
+from headway_envs.intersection.sumo.human_drivers import next_speeds
 from headway_envs.intersection.sumo.roster import Roster
 from headway_envs.intersection.sumo.simulation import Simulation
 

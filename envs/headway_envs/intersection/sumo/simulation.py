@@ -11,18 +11,9 @@ from tempfile import NamedTemporaryFile
 from typing import Any
 
 from headway.contracts import HeadwayError
+from headway_envs.intersection.sumo.scenario import OPTIONS
 
 INSTALL = 'the intersection needs SUMO, which is not installed: pip install "headway[sumo]"'
-_COMMON = {
-    "collision.check-junctions": "true",
-    "collision.mingap-factor": "0",  # physical overlap only
-    "collision.action": "remove",  # one report per crash; `warn` repeats it at every step
-    "time-to-teleport": "-1",
-    "emissions.volumetric-fuel": "true",
-    "no-step-log": "true",
-    "no-warnings": "true",
-    "duration-log.disable": "true",
-}
 
 _owner: "weakref.ref[Simulation] | None" = None
 
@@ -48,11 +39,11 @@ def libsumo() -> Any:  # noqa: ANN401 - libsumo has no types
 class Simulation:
     """One simulation, reloaded for every episode. Not picklable, and bound to the thread that starts it."""
 
-    def __init__(self, network: str, routes: str, step_s: float) -> None:
+    def __init__(self, network: str, routes: str) -> None:
         """`network`: path of the network file; `routes`: content of a SUMO route file."""
         self._routes = routes
-        common = [word for name, value in _COMMON.items() for word in (f"--{name}", value)]
-        self._options = ["-n", network, "--step-length", str(step_s), *common]
+        self._options = ["-n", network]
+        self._options += [word for name, value in OPTIONS.items() for word in (f"--{name}", value)]
         self.sumo = libsumo()
 
     def begin(self, seed: int) -> None:
