@@ -93,8 +93,41 @@ def module_entry(
         prepare=partial(_prepare, ModuleEnv(module, {}, options, file, notices)),
         parallel_env=partial(_make_parallel, ModuleEnv(module, {}, options, file)),
         rules={"random": RANDOM},
+        renderer=ModuleRenderer,
         preload=("headway.adapters.modules", *([] if file else [module.partition(":")[0]])),
     )
+
+
+class ModuleRenderer:
+    """Renderer of module environments, by their render mode `rgb_array`."""
+
+    def __init__(self, prepared: ModuleEnv) -> None:
+        self._module = prepared.module
+        self._last: NDArray[np.uint8] | None = None
+
+    def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
+        """Return the picture that the environment of the first copy gives, (height, width, 3).
+
+        At the end of an episode, when the environment has begun the next, return the last picture again.
+        Raises HeadwayError if the environment gives none.
+        """
+        if at_end and self._last is not None:
+            return self._last
+        assert isinstance(env, ParallelEnvBatch)
+        shown = env.parallel_envs[0]
+        # As if made with render_mode="rgb_array", which not every function passes on.
+        shown.unwrapped.render_mode = "rgb_array"
+        try:
+            picture = np.asarray(shown.render())
+        except Exception as error:  # the environment's own code
+            raise HeadwayError(f"{self._module} cannot be rendered: {one_line(error)}") from error
+        if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+            raise HeadwayError(
+                f"{self._module} cannot be rendered: in the mode rgb_array its render() must return an RGB "
+                "picture"
+            )
+        self._last = picture
+        return picture
 
 
 def make_batch(prepared: ModuleEnv, copies: int) -> BatchedEnv:

@@ -140,7 +140,8 @@ def improvements(scores: pd.DataFrame) -> pd.DataFrame:
         common = [task for task in pair[0] if all(len(of_tasks.get(task, ())) > 1 for of_tasks in pair)]
         if not common:
             continue
-        found = probability_of_improvement(*([of_tasks[task] for task in common] for of_tasks in pair))
+        left, right = ([of_tasks[task] for task in common] for of_tasks in pair)
+        found = probability_of_improvement(left, right)
         rows.append({"a": a, "b": b, "probability": found.estimate, "low": found.low, "high": found.high})
     return pd.DataFrame(rows, columns=["a", "b", "probability", "low", "high"])
 

@@ -119,7 +119,7 @@ def learning_curves(
             axes.set_title(task, loc="left", fontsize="medium")
     if title:
         figure.suptitle(title)
-    _label_ends(figure, panels)
+    _label_ends(figure, list(panels))
     return figure
 
 
