@@ -19,10 +19,10 @@ examples:
   headway plot bus --where 'policies=shared and algo.lr<1e-3' --no-rules
 
 One line per cell (algorithm and, if needed to distinguish cells, preset, search candidate and settings) and
-one panel per environment: mean over finished seeds with the 95% interval of the mean (Student's t). Dashed
-lines show the rules on the same episodes, for evaluation metrics. Rules so far off that they would flatten
-the curves are omitted, and the axis is not extended for cells far worse than most. Training curves whose
-seeds have points at different steps are interpolated linearly.
+one panel per environment: mean over finished seeds with the 95% interval of the mean (Student's t), if there
+are at least three. Dashed lines show the rules on the same episodes, for evaluation metrics. Rules so far off
+that they would flatten the curves are omitted, and the axis is not extended for cells far worse than most.
+Training curves whose seeds have points at different steps are interpolated linearly.
 """
 
 
@@ -73,8 +73,13 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _statistic(means: "pd.DataFrame") -> str:
-    """Name the plotted statistic: cells with one run have no interval."""
+    """Name the plotted statistic: cells with few runs have no interval."""
+    from headway.stats.plots import FEWEST_SEEDS
+
     runs = means["runs"]
     if (runs == 1).all():
         return "one seed"
-    return f"mean over seeds with 95% interval{' if there are several' if (runs == 1).any() else ''}"
+    if (runs < FEWEST_SEEDS).all():
+        return "mean over seeds"
+    few = f" of at least {FEWEST_SEEDS}" if (runs < FEWEST_SEEDS).any() else ""
+    return f"mean over seeds with 95% interval{few}"

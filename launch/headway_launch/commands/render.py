@@ -34,10 +34,12 @@ examples:
   headway render merge --rule idle --step 60 --output moment.png
   headway render bus --rule even_headway --output day.png      map and time-space diagram of the day
   headway render bus --rule even_headway --fps 25              animated over the hours of the day
+  headway render ./shuttle.py --rule random                    any environment with the render mode rgb_array
   headway render s0-20260101-1200 --keep                       written into the run's folder
 
 A .gif shows the whole episode; a .png shows one step (the last, or that of --step). The caption names the
-rule or run, the seed and the number of the episode.
+rule or run, the seed and the number of the episode. PettingZoo and Gymnasium environments are rendered by
+their own `render` with the mode rgb_array, without the last step.
 """
 _SUFFIXES = (".gif", ".png")
 
@@ -73,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Render the episode and print the path of the file."""
-    output = Path(arguments.output or f"{Path(arguments.name).name}.gif")
+    output = Path(arguments.output or f"{Path(arguments.name).name.removesuffix('.py')}.gif")
     _check(arguments, output)
     if arguments.keep:
         output = _in_run(arguments, output)

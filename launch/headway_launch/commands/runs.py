@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,13 +23,15 @@ examples:
   headway runs --study bus --algo mappo --status FINISHED
   headway runs --seed 0..4 --format csv > runs.csv
   headway runs --format json | jq '.[].final_reward'
+  headway runs --columns seed,algo.lr,final_reward
   headway runs --where 'final_reward>300 and algo.lr<1e-3' --sort 'final_reward desc'
   headway diff RUN RUN                             settings and results of two runs side by side
 
-Conditions are SQL expressions (and, or, not, in, between, like). They and --sort use the field names of
---format csv and dotted parameters such as algo.lr. A narrow terminal omits columns and names them below the
-table. A run can be named by any unique part of its name.
-The table rounds numbers; csv and json have field names and all digits.
+Settings in which runs of one study, environment, algorithm and preset differ have columns of their own.
+Conditions are SQL expressions (and, or, not, in, between, like). They, --sort and --columns use the field
+names of --format csv and dotted parameters such as algo.lr. A narrow terminal omits columns and names them
+below the table. A run can be named by any unique part of its name.
+The table rounds numbers; csv and json have field names and all digits; json has all parameters.
 AUC is normalised by the range of each run's own curve: it shows how early a run learns, not how well. A run
 evaluated fewer than three times has none; a flat curve has 0.5.
 """
@@ -94,6 +96,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sort", default="", metavar="FIELDS", help="fields to sort by, such as 'final_reward desc, seed'"
     )
     parser.add_argument(
+        "--columns", metavar="NAMES", help="fields and parameters to show, such as run_id,algo.lr"
+    )
+    parser.add_argument(
         "--format", choices=("table", "json", "csv"), default="table", help="output format (default: table)"
     )
     add_store_argument(parser)
@@ -125,7 +130,12 @@ def execute(arguments: argparse.Namespace) -> int:
         and status in (None, row.status)
         and (seeds is None or row.seed in seeds)
     ]
-    _print(rows, arguments.format)
+    if arguments.format == "json":
+        _print_json(rows, arguments.columns)
+    elif arguments.format == "csv":
+        _print_csv(rows, arguments.columns)
+    else:
+        _print_table(rows, arguments.columns)
     return 0
 
 
@@ -160,30 +170,62 @@ def _require_known(option: str, value: str | None, known: set[str]) -> None:
         raise HeadwayError(f"--{option} {value}: no run has this value; {suggestion(value, known)}")
 
 
-def _print(rows: Sequence["RunRow"], style: str) -> None:
-    if style == "json":
-        import json
+def _print_json(rows: Sequence["RunRow"], columns: str | None) -> None:
+    import json
 
-        print(json.dumps([asdict(row) for row in rows], indent=1))
-    elif style == "csv":
-        import csv
+    from headway_launch.studies.run_filter import parameters_of
 
-        writer = csv.writer(sys.stdout, lineterminator="\n")
-        writer.writerow(_FIELDS)
-        writer.writerows(_values(row, _FIELDS) for row in rows)
+    if columns is None:
+        listed = [{**asdict(row), "parameters": parameters_of(row)} for row in rows]
     else:
-        fields = _ON_TERMINAL if sys.stdout.isatty() else _FIELDS
-        table = _headings(fields), [_values(row, fields) for row in rows]
-        print_table(
-            *without_empty(*table, (CO2_HEADING,)),
-            whole=_headings(("run_id", "status")),
-            spare=_headings(_SPARE_ON_TERMINAL),
-        )
+        names, values, _ = _table(rows, columns, ())
+        listed = [dict(zip(names, own, strict=True)) for own in values]
+    print(json.dumps(listed, indent=1))
+
+
+def _print_csv(rows: Sequence["RunRow"], columns: str | None) -> None:
+    import csv
+
+    names, values, _ = _table(rows, columns, _FIELDS)
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(values)
+
+
+def _print_table(rows: Sequence["RunRow"], columns: str | None) -> None:
+    names, values, settings = _table(rows, columns, _ON_TERMINAL if sys.stdout.isatty() else _FIELDS)
+    spare = (*_SPARE_ON_TERMINAL[:-1], *settings, _SPARE_ON_TERMINAL[-1])
+    print_table(
+        *without_empty(_headings(names), values, () if columns else (CO2_HEADING,)),
+        whole=_headings(("run_id", "status")),
+        spare=() if columns else _headings(spare),
+    )
+
+
+def _table(
+    rows: Sequence["RunRow"], columns: str | None, fields: Sequence[str]
+) -> tuple[list[str], list[list[Value]], list[str]]:
+    """Return the names of the columns, the values of each run, and the names of varied settings."""
+    from headway.store.cell_names import varied_settings
+    from headway_launch.studies.run_filter import as_number, column_names, parameters_of
+
+    if columns is not None:
+        names = column_names(rows, columns)
+        of_run = [parameters_of(row) if any("." in name for name in names) else {} for row in rows]
+        return names, [_values(row, names, own) for row, own in zip(rows, of_run, strict=True)], []
+    varied, settings = varied_settings(rows)
+    own = {
+        cell: {name: as_number(found[name]) for name in varied if name in found}
+        for cell, found in settings.items()
+    }
+    after = fields.index("seed")
+    names = [*fields[:after], *varied, *fields[after:]]
+    return names, [_values(row, names, own[row.cell]) for row in rows], varied
 
 
 def _headings(fields: Sequence[str]) -> list[str]:
     return [_HEADINGS.get(name, name) for name in fields]
 
 
-def _values(row: "RunRow", fields: Sequence[str]) -> list[Value]:
-    return [getattr(row, name) for name in fields]
+def _values(row: "RunRow", names: Sequence[str], parameters: Mapping[str, Value]) -> list[Value]:
+    return [parameters.get(name) if "." in name else getattr(row, name) for name in names]

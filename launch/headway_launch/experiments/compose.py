@@ -48,6 +48,11 @@ _OTHER_ENVS = (
     ", or a PettingZoo module, such as env=mpe2.simple_spread_v3, a file, such as env=./shuttle.py, or a "
     "registered id, such as env=pettingzoo:sisl/pursuit-v5 or env=gymnasium:CartPole-v1"
 )
+_LARGE_OBSERVATION = 2_000
+_LARGE = (
+    "{} has observations of {:,} numbers, and all networks are fully connected, without convolutions; images "
+    "can be made smaller by wrappers, such as color_reduction_v0 and resize_v1 (`headway list wrappers`)"
+)
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
 
@@ -166,7 +171,10 @@ class Experiment:
             except HeadwayError as error:  # wrappers hide its inputs
                 raise HeadwayError(f"evaluation.rules: {error}") from error
         give_back_memory()  # each training process loads the same data next
-        for line in dict.fromkeys((*notices_of(prepared), *notices_of(training))):
+        large = [_LARGE.format(self.config.env.id, spec.observation_size)] * (
+            spec.observation_size > _LARGE_OBSERVATION
+        )
+        for line in dict.fromkeys((*notices_of(prepared), *notices_of(training), *large)):
             print_line(f"headway: {line}")
         return PreparedEnv(self.env, prepared, training, spec)
 

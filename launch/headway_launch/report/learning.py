@@ -25,7 +25,8 @@ def curves_section(data: StudyData) -> Section:
         Picture(
             "learning_curves",
             f"Learning curves: mean of the {data.mode} evaluation over seeds with the 95% interval of that "
-            "mean by Student's t; dashed lines: the rules on the same episodes.",
+            f"mean by Student's t, from {plots.FEWEST_SEEDS} seeds on; dashed lines: the rules on the same "
+            "episodes.",
             plots.learning_curves(
                 means, data.rules_beside_curves, label, data.styles, low=data.low, sign=data.sign
             ),

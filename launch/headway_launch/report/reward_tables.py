@@ -251,6 +251,8 @@ def improvement_section(data: StudyData) -> Section:
 
 def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
     found = frames.improvements(signed)
+    if found.empty:
+        return ["There is no probability of improvement: it needs several seeds of both controllers."]
     shown = {
         (str(row["a"]), str(row["b"])): with_interval(row["probability"], row["low"], row["high"])
         for row in found.to_dict("records")

@@ -101,15 +101,15 @@ class _Running:
     def does_not_stop(self, asked_at: float) -> bool:
         """Return whether it has been silent for too long since it was asked to stop at `asked_at`.
 
-        The limit is five times the longest silence so far. It is at least 10 s, or a minute where there is
-        nothing to compare with: before the second event, and when it has answered and writes its checkpoint.
-        There is none during the last evaluation, which may have any number of episodes.
+        The limit is five times the longest silence so far. It is at least 10 s, or a minute when it has
+        answered and writes its checkpoint. Before the second event it is 10 s: nothing is lost by then. There
+        is none during the last evaluation, which may have any number of episodes.
         """
         progress = self.job.progress
         if progress.status in OVER or progress.iteration >= progress.iterations:
             return False
-        unknown = not self.silence.longest_s or self.heard_at > asked_at
-        limit = max(MIN_TIMEOUT_S if unknown else _STOP_S, 5 * self.silence.longest_s)
+        least = MIN_TIMEOUT_S if self.heard_at > asked_at else _STOP_S
+        limit = max(least, 5 * self.silence.longest_s)
         return time.monotonic() - max(asked_at, self.heard_at) > limit
 
     def kill(self) -> None:

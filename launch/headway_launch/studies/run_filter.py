@@ -1,4 +1,4 @@
-"""Conditions and sort keys of `headway runs` and `headway plot`, evaluated by SQLite.
+"""Conditions, sort keys and columns of `headway runs` and `headway plot`; SQLite evaluates conditions.
 
 `final_reward>300 and (algo.lr<1e-3 or seed in (1, 2))` is an SQL expression whose columns are the fields of
 the index and the runs' parameters by their dotted names.
@@ -7,9 +7,10 @@ the index and the runs' parameters by their dotted names.
 import re
 import sqlite3
 from collections.abc import Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import astuple, fields
 from functools import cached_property
+from math import isfinite
 from pathlib import Path
 
 from headway.config.schema import suggestion
@@ -55,6 +56,32 @@ def filter_runs(rows: Sequence[RunRow], conditions: Sequence[str], sort: str = "
         chosen = " AND ".join(f"({expression})" for expression in where.values()) or "TRUE"
         found = database.execute(f"SELECT row FROM runs WHERE {chosen} ORDER BY {', '.join([*order, 'row'])}")
         return [rows[row] for (row,) in found]
+
+
+def column_names(rows: Sequence[RunRow], columns: str) -> list[str]:
+    """Return the fields and parameters that `columns` lists, separated by commas.
+
+    Raises HeadwayError for an unknown one.
+    """
+    known = _Columns(rows)
+    names = [name.strip() for name in columns.split(",")]
+    for name in names:
+        known.named("--columns", name)
+    return names
+
+
+def parameters_of(row: RunRow) -> dict[str, str | int | float]:
+    """Return a run's parameters by dotted name; numbers as such."""
+    found = RunRecord.read(Path(row.directory)).parameters
+    return {name: as_number(text) for name, text in found.items()}
+
+
+def as_number(text: str) -> str | int | float:
+    """Return the finite number that a text is, or else the text."""
+    for kind in (int, float):
+        with suppress(ValueError):
+            return value if isfinite(value := kind(text)) else text
+    return text
 
 
 class _Columns:
@@ -138,8 +165,4 @@ def _quoted(text: str) -> str:
 
 
 def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return not isinstance(as_number(text), str)

@@ -20,7 +20,7 @@ class SingleAgent(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes withou
         self._env = env
         self.possible_agents = [AGENT]
         self.agents: list[str] = []
-        self.metadata = env.metadata
+        self.metadata, self.render_mode = env.metadata, env.render_mode
 
     def observation_space(self, agent: str) -> Space:
         return self._env.observation_space
@@ -52,6 +52,11 @@ class SingleAgent(ParallelEnv):  # type: ignore[misc]  # PettingZoo comes withou
     def state(self) -> NDArray[np.float32]:
         """Raise NotImplementedError: there is no state beyond the agent's observation."""
         raise NotImplementedError
+
+    def render(self) -> Any:  # noqa: ANN401 - a picture, text or nothing
+        """Render in `render_mode`."""
+        self._env.unwrapped.render_mode = self.render_mode
+        return self._env.render()
 
     def close(self) -> None:
         self._env.close()

@@ -20,16 +20,19 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from headway.adapters.env_file import EnvFile, is_file_id
 from headway.adapters.installed import require_environment_module, require_registering_module
 from headway.adapters.pettingzoo import NO_OPTIONS, AdapterOptions, ParallelEnvBatch
 from headway.config.schema import nearest
 from headway.config.signatures import argument_record, as_tuples, takes_any_arguments
-from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, RandomRule
+from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, Observations, RandomRule
 from headway.contracts.errors import one_line
 
-_PROBE_STEPS, _PROBE_SECONDS = 100, 2.0
+_PROBE_STEPS, _PROBE_SECONDS, _PROBE_OBSERVATIONS = 100, 2.0, 20
+"""Most steps and seconds of random play, and steps after which observations have been seen enough."""
+_ROUNDING = 1e-5
 _NUMBERED = re.compile(r"(.+?)_?\d+")
 
 
@@ -90,6 +93,7 @@ def module_entry(
         prepare=partial(_prepare, ModuleEnv(module, {}, options, file, notices)),
         parallel_env=partial(_make_parallel, ModuleEnv(module, {}, options, file)),
         rules={"random": RANDOM},
+        renderer=ModuleRenderer,
         preload=("headway.adapters.modules", *([] if file else [module.partition(":")[0]])),
     )
 
@@ -98,6 +102,38 @@ def takes_any_keyword(module: str) -> bool:
     """Return whether the environment in a module or file, or with the id MODULE:ID, accepts any keyword, so
     that its arguments are not known. Raises HeadwayError as `module_entry` does."""
     return _callables(module, EnvFile.read(module) if is_file_id(module) else None)[1] is None
+
+
+class ModuleRenderer:
+    """Renderer of module environments, by their render mode `rgb_array`."""
+
+    def __init__(self, prepared: ModuleEnv) -> None:
+        self._module = prepared.module
+        self._last: NDArray[np.uint8] | None = None
+
+    def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
+        """Return the picture that the environment of the first copy gives, (height, width, 3).
+
+        At the end of an episode, when the environment has begun the next, return the last picture again.
+        Raises HeadwayError if the environment gives none.
+        """
+        if at_end and self._last is not None:
+            return self._last
+        assert isinstance(env, ParallelEnvBatch)
+        shown = env.parallel_envs[0]
+        # As if made with render_mode="rgb_array", which not every function passes on.
+        shown.unwrapped.render_mode = "rgb_array"
+        try:
+            picture = np.asarray(shown.render())
+        except Exception as error:  # the environment's own code
+            raise HeadwayError(f"{self._module} cannot be rendered: {one_line(error)}") from error
+        if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+            raise HeadwayError(
+                f"{self._module} cannot be rendered: in the mode rgb_array its render() must return an RGB "
+                "picture"
+            )
+        self._last = picture
+        return picture
 
 
 def make_batch(prepared: ModuleEnv, copies: int) -> BatchedEnv:
@@ -110,8 +146,9 @@ def _prepare(named: ModuleEnv, config: Any) -> ModuleEnv:  # noqa: ANN401 - its 
     module, options = prepared.module, prepared.options
     env = prepared.make()
     groups = _groups(getattr(env, "possible_agents", ()))
-    notices = prepared.notices
-    if options.shared_reward is None and _pays_all_alike(module, env, options):
+    played = _play_randomly(module, env, options)
+    notices = (*prepared.notices, *played.outside)
+    if options.shared_reward is None and played.pays_all_alike:
         notices += (
             f"all agents of {module} got equal rewards in a few steps of random play: if they always do, set "
             "env.shared_reward=true, so that a central critic learns the team's return (false: no notice)",
@@ -120,31 +157,69 @@ def _prepare(named: ModuleEnv, config: Any) -> ModuleEnv:  # noqa: ANN401 - its 
     return replace(prepared, options=replace(options, groups=groups), notices=notices)
 
 
-def _pays_all_alike(module: str, env: Any, options: AdapterOptions) -> bool:  # noqa: ANN401 - see ModuleEnv.make
-    """Return whether all live agents' rewards were equal, and not always 0, at each step of random play.
+@dataclass
+class _Play:
+    """What a few steps of random play showed."""
 
-    Plays _PROBE_STEPS steps, or fewer if they take longer than _PROBE_SECONDS. False for an environment of
-    one agent, and for one that needs wrappers before it can be played.
+    pays_all_alike: bool = False
+    """All live agents' rewards were equal, and not always 0, at each step."""
+    outside: tuple[str, ...] = ()
+    """The first observation outside its space, as a line for the user."""
+
+
+def _play_randomly(module: str, env: Any, options: AdapterOptions) -> _Play:  # noqa: ANN401 - see ModuleEnv.make
+    """Play up to _PROBE_STEPS steps, or fewer if they take longer than _PROBE_SECONDS or rewards differ.
+
+    Shows nothing for an environment that needs wrappers before it can be played.
     """
     options, rule = replace(options, agents_come_and_go=True), RandomRule()
-    deadline, paid = time.monotonic() + _PROBE_SECONDS, False
+    deadline, paid, alike, found = time.monotonic() + _PROBE_SECONDS, False, True, _Play()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             batch = ParallelEnvBatch(lambda: env, 1, module, options)
+            bounds = _observation_bounds(env, batch.spec.agents)
             observed = batch.reset(np.zeros(1, np.uint64))
-            for _ in range(_PROBE_STEPS if batch.spec.num_agents > 1 else 0):
+            found.outside = _outside(module, batch, observed, bounds, 0)
+            for step in range(1, _PROBE_STEPS + 1):
                 alive = observed.alive[0].copy()
                 result, observed = batch.step(rule.act(batch, observed))
+                found.outside = found.outside or _outside(module, batch, observed, bounds, step)
                 rewards = result.rewards[0, alive]
-                if (rewards != rewards[:1]).any():
-                    return False
+                alike &= not (rewards != rewards[:1]).any()
                 paid |= len(rewards) > 1 and bool(rewards[0] != 0)
-                if time.monotonic() > deadline:
+                enough = not alike or batch.spec.num_agents == 1
+                if time.monotonic() > deadline or (enough and step >= _PROBE_OBSERVATIONS):
                     break
     except Exception:  # the environment's own code, or a space that a wrapper has yet to change
-        return False
-    return paid
+        return found
+    found.pays_all_alike = paid and alike
+    return found
+
+
+def _observation_bounds(env: Any, agents: Sequence[str]) -> NDArray[np.float64]:  # noqa: ANN401 - see above
+    """Return the least and the greatest observation of each agent's space (2, N, D)."""
+    spaces = [env.observation_space(agent) for agent in agents]
+    low, high = [space.low for space in spaces], [space.high for space in spaces]
+    return np.array([low, high], dtype=np.float64).reshape(2, len(spaces), -1)
+
+
+def _outside(
+    module: str, batch: BatchedEnv, observed: Observations, bounds: NDArray[np.float64], step: int
+) -> tuple[str, ...]:
+    """Return a line for the user if a live agent's observation is outside its space."""
+    values = observed.observations[0]
+    rounding = _ROUNDING * (1 + abs(bounds))
+    outside = (values < bounds[0] - rounding[0]) | (values > bounds[1] + rounding[1])
+    outside &= observed.alive[0][:, None]
+    if not outside.any():
+        return ()
+    agent, place = np.argwhere(outside)[0]
+    name, (low, high) = batch.spec.agents[agent], bounds[:, agent, place]
+    return (
+        f"{module}: agent '{name}' observed {values[agent, place]:g} at step {step}, outside "
+        f"its observation_space ({low:.4g} to {high:.4g} in place {place}); correct one of them",
+    )
 
 
 def _make_parallel(named: ModuleEnv, given: Any) -> Any:  # noqa: ANN401 - config or prepared

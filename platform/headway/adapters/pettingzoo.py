@@ -75,6 +75,8 @@ class ParallelEnv(Protocol):
 
     def state(self) -> NDArray[Any]: ...
 
+    def render(self) -> Any: ...  # noqa: ANN401 - a picture, text or nothing
+
     def close(self) -> None: ...
 
     @property

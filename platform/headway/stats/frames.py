@@ -127,7 +127,7 @@ def improvements(scores: pd.DataFrame) -> pd.DataFrame:
     """Return the probability of improvement of each ordered pair of controllers, over their common tasks.
 
     Columns: `a`, `b`, `probability` that a run of `a` scores above a run of `b`, and `low` and `high`, the
-    ends of its 95% interval (NaN if on any task both have only one run). Pairs without a common task are left
+    ends of its 95% interval. A task is common if both have several runs on it; pairs without one are left
     out.
     """
     by_controller = {
@@ -136,14 +136,13 @@ def improvements(scores: pd.DataFrame) -> pd.DataFrame:
     }
     rows = []
     for a, b in permutations(by_controller, 2):
-        common = [task for task in by_controller[a] if task in by_controller[b]]
+        pair = [by_controller[name] for name in (a, b)]
+        common = [task for task in pair[0] if all(len(of_tasks.get(task, ())) > 1 for of_tasks in pair)]
         if not common:
             continue
-        left, right = ([by_controller[name][task] for task in common] for name in (a, b))
+        left, right = ([of_tasks[task] for task in common] for of_tasks in pair)
         found = probability_of_improvement(left, right)
-        known = all(len(x) > 1 or len(y) > 1 for x, y in zip(left, right, strict=True))
-        low, high = (found.low, found.high) if known else (np.nan, np.nan)
-        rows.append({"a": a, "b": b, "probability": found.estimate, "low": low, "high": high})
+        rows.append({"a": a, "b": b, "probability": found.estimate, "low": found.low, "high": found.high})
     return pd.DataFrame(rows, columns=["a", "b", "probability", "low", "high"])
 
 

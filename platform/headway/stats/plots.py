@@ -5,6 +5,7 @@ controller has the same colour in all plots that get the same `styles` from `col
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
     from numpy.typing import NDArray
 
 # Okabe and Ito's colours, safe for colour blindness (jfly.uni-koeln.de/color), then four of Tol's `muted`.
@@ -28,7 +30,9 @@ _LINE_STYLES: tuple[Any, ...] = ("-", (0, (5, 1)), (0, (1, 1)))
 """Line styles of the first, second and third round through the colours."""
 _MARKERS = ("o", "s", "^")
 """Markers of the same rounds in scatter plots."""
-_RULE_LINES: tuple[Any, ...] = ("--", ":", "-.")
+_RULE_LINES: tuple[Any, ...] = ("--", ":", "-.", (0, (9, 2)), (0, (5, 2, 1, 2, 1, 2)), (0, (1, 5)))
+FEWEST_SEEDS = 3
+"""Curves of fewer seeds have no band: with two, the 95% interval is nine times as wide as they are apart."""
 _OUTLIER_FACTOR = 5.0
 """Values farther from the others than this multiple of their range do not extend an axis; the legend states
 them."""
@@ -41,6 +45,8 @@ _PART_COLOURS = {"cpu_kwh": "#4477AA", "gpu_kwh": "#CCBB44", "ram_kwh": "#AAAAAA
 _WIDTH = 9.0
 _PANEL_WIDTH = 5.5
 """Minimum width in inches of a panel next to a legend."""
+_AROUND_PANEL = 1.0
+"""Height in inches of title, tick labels and label of a panel, at most."""
 _LINE_HEIGHT = 0.17
 """Height in inches of a line of text next to an axis."""
 _NAME_LENGTH = 44
@@ -75,11 +81,11 @@ def learning_curves(
 ) -> "Figure":
     """Plot the frame of `mean_curves` (column `mean`) or `efficiency` (column `iqm`), one panel per task.
 
-    Each controller is a line with its interval as a band. `rules` (task -> rule -> value) are horizontal
-    lines; a rule too far away is only listed in the legend. The vertical axis is not stretched for a
-    controller far worse than most others (`outliers`; higher is better if `sign` is 1, lower if -1), whose
-    worst value is in the legend, nor for intervals much wider than the range of the curves, which are cut
-    off. `low` is the lower limit of the vertical axis.
+    Each controller is a line with its interval, of at least three seeds, as a band. `rules` (task -> rule ->
+    value) are horizontal lines. Lines are labelled at their right ends; a rule too far away is only listed
+    there. The vertical axis is not stretched for a controller far worse than most others (`outliers`; higher
+    is better if `sign` is 1, lower if -1), whose label has its worst value, nor for intervals much wider than
+    the range of the curves, which are cut off. `low` is the lower limit of the vertical axis.
     """
     column = "mean" if "mean" in means.columns else "iqm"
     tasks = list(dict.fromkeys(means["task"])) if "task" in means.columns else [""]
@@ -111,9 +117,9 @@ def learning_curves(
         axes.yaxis.set_major_formatter(_THOUSANDS)
         if len(tasks) > 1:
             axes.set_title(task, loc="left", fontsize="medium")
-    _legends_beside(figure, panels)
     if title:
         figure.suptitle(title)
+    _label_ends(figure, list(panels))
     return figure
 
 
@@ -142,14 +148,16 @@ def _plot_curve(
     shade: float,
     remark: str = "",
 ) -> None:
-    """Plot a controller's line and the band of its interval."""
-    runs = f" ({counted(int(curve['runs'].iloc[0]), 'seed')})" if "runs" in curve else ""
+    """Plot a controller's line and the band of its interval, if it has enough seeds."""
+    seeds = int(curve["runs"].iloc[0]) if "runs" in curve else FEWEST_SEEDS
+    runs = f" ({counted(seeds, 'seed')})" if "runs" in curve else ""
     steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
     axes.plot(
         steps, middle, label=f"{name}{runs}{remark}", linewidth=1.6, **_point_markers(len(steps)), **style
     )
-    ends = (curve["low"].to_numpy(), curve["high"].to_numpy())
-    axes.fill_between(steps, *ends, color=style["color"], alpha=shade, linewidth=0)
+    if seeds >= FEWEST_SEEDS:
+        ends = (curve["low"].to_numpy(), curve["high"].to_numpy())
+        axes.fill_between(steps, *ends, color=style["color"], alpha=shade, linewidth=0)
 
 
 def _bound_bands(axes: "Axes", middles: "NDArray[np.floating[Any]]") -> None:
@@ -169,7 +177,7 @@ def _point_markers(points: int) -> dict[str, Any]:
 
 
 def plot_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) -> None:
-    """Plot each rule as a grey horizontal line, or a vertical one if `upright`.
+    """Plot each rule as a grey horizontal line, or a vertical one if `upright`, the highest first.
 
     Distant rules are only listed in the legend. A vertical axis with fixed limits is extended to the
     plotted rules.
@@ -177,10 +185,10 @@ def plot_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) 
     low, high = axes.get_xlim() if upright else axes.get_ylim()
     near = near_rules(rules, low, high)
     plot_line = axes.axvline if upright else axes.axhline
-    for place, (rule, value) in enumerate(sorted(rules.items())):
+    for place, (rule, value) in enumerate(sorted(rules.items(), key=lambda item: -item[1])):
         style: dict[str, Any] = {
             "linestyle": _RULE_LINES[place % len(_RULE_LINES)],
-            "color": f"{0.2 + 0.4 * place / max(len(rules), 1):.2f}",
+            "color": f"{0.15 + 0.45 * (place % 2):.2f}",
             "linewidth": 1,
         }
         if rule in near:
@@ -421,6 +429,86 @@ def _legends_beside(figure: "Figure", panels: Iterable["Axes"]) -> None:
     widest = max(extent.width for extent in extents) / figure.dpi
     highest = max(extent.height for extent in extents) / figure.dpi
     figure.set_size_inches(max(width, _PANEL_WIDTH + widest), max(height, len(legends) * (highest + 0.4)))
+
+
+def _label_ends(figure: "Figure", panels: Sequence["Axes"]) -> None:
+    """Label the lines of panels, one above the other, beside their right ends; enlarge the figure to fit.
+
+    Lines without points come last.
+    """
+    from matplotlib.text import Text  # an annotation's own extent includes its line
+
+    width, height = figure.get_size_inches()
+    widest, highest = 0.0, height / len(panels) - _AROUND_PANEL
+    for axes in panels:
+        names = [_wrapped(str(line.get_label())) for line in _named_lines(axes)]
+        highest = max(highest, sum(map(_label_height, names)))
+    for axes in panels:
+        lines, (bottom, top) = _named_lines(axes), axes.get_ylim()
+        names = [_wrapped(str(line.get_label())) for line in lines]
+        ends = [_right_end(axes, line) for line in lines]
+        wanted = [min(max((y - bottom) / (top - bottom), 0.0), 1.0) for _, y in ends]
+        places = _apart(wanted, [_label_height(name) / highest for name in names])
+        for line, name, end, place in zip(lines, names, ends, places, strict=True):
+            is_shown, colour = bottom <= end[1] <= top, line.get_color()
+            connection = {"arrowstyle": "-", "relpos": (0.0, 0.5), "color": colour, "linewidth": 0.6}
+            label = axes.annotate(
+                name,
+                xy=end if is_shown else (1.0, place),
+                xycoords="data" if is_shown else "axes fraction",
+                xytext=(1.06, place),
+                textcoords="axes fraction",
+                fontsize="small",
+                verticalalignment="center",
+                color=colour,
+                arrowprops={**connection, "shrinkA": 1, "shrinkB": 0} if is_shown else None,
+                annotation_clip=False,
+            )
+            widest = max(widest, Text.get_window_extent(label).width / figure.dpi)
+    figure.set_size_inches(
+        max(width, _PANEL_WIDTH + widest), max(height, len(panels) * (highest + _AROUND_PANEL))
+    )
+
+
+def _named_lines(axes: "Axes") -> list["Line2D"]:
+    """Return the lines with names, from the one that ends highest to those without points."""
+    lines = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
+    return sorted(lines, key=lambda line: -_right_end(axes, line)[1])
+
+
+def _right_end(axes: "Axes", line: "Line2D") -> tuple[float, float]:
+    """Return the last point of a line; for a horizontal one across the axes that at their right edge."""
+    across, up = np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
+    known = np.flatnonzero(np.isfinite(up))
+    if not len(known):
+        return np.inf, -np.inf
+    is_rule = line.get_transform() == axes.get_yaxis_transform(which="grid")
+    return axes.get_xlim()[1] if is_rule else float(across[known[-1]]), float(up[known[-1]])
+
+
+def _apart(wanted: Sequence[float], heights: Sequence[float]) -> list[float]:
+    """Return the middles of labels between 0 and 1 that do not overlap, nearest to those `wanted`.
+
+    `wanted` descends. Isotonic regression by pooling adjacent violators.
+    """
+    if not wanted:
+        return []
+    offsets = np.cumsum([0.0, *(0.5 * (one + next_one) for one, next_one in pairwise(heights))])
+    pools: list[tuple[float, int]] = []
+    for value in np.add(wanted, offsets):
+        mean, size = float(value), 1
+        while pools and pools[-1][0] < mean:
+            before, of_before = pools.pop()
+            mean, size = (mean * size + before * of_before) / (size + of_before), size + of_before
+        pools.append((mean, size))
+    places = np.repeat([mean for mean, _ in pools], [size for _, size in pools])
+    places = np.clip(places, offsets[-1] + heights[-1] / 2, 1 - heights[0] / 2) - offsets
+    return [float(place) for place in places]
+
+
+def _label_height(name: str) -> float:
+    """Return the height in inches of a label beside a line."""
+    return 0.02 + _LINE_HEIGHT * (1 + name.count("\n"))
 
 
 def _wrapped(name: str) -> str:

@@ -75,6 +75,27 @@ def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
     return names_among({cell: _choice(members) for cell, members in cells.items()})
 
 
+def varied_settings(runs: Iterable[RunRow]) -> tuple[list[str], dict[str, Mapping[str, str]]]:
+    """Return the names of the settings that a sweep varied, and all settings of each cell by its key.
+
+    A setting is varied if it differs between cells of one study, environment, algorithm and preset. Choices
+    that are fields of a run, such as `algo.policies`, are left out.
+
+    Raises HeadwayError if a run's record cannot be read.
+    """
+    cells: dict[str, list[RunRow]] = defaultdict(list)
+    alike: dict[tuple[str, ...], set[str]] = defaultdict(set)
+    for run in runs:
+        cells[run.cell].append(run)
+        alike[run.study, run.environment, run.algorithm, run.preset].add(run.cell)
+    settings = {cell: _choice(members).parameters for cell, members in cells.items()}
+    varied: dict[str, None] = {}
+    for keys in alike.values():
+        names = {name: None for key in sorted(keys) for name in settings[key]}
+        varied |= {name: None for name in names if len({settings[key].get(name) for key in keys}) > 1}
+    return [name for name in varied if "." in name and name != _POLICIES], settings
+
+
 def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
     """Return a name for each cell that is unique among `cells` and as short as possible."""
     kinds = {key: (environment_name(cell.environment),) for key, cell in cells.items()}

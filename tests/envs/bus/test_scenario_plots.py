@@ -15,7 +15,9 @@ from headway_envs.bus.scenario.synthetic import generate
 
 def test_a_picture_shows_the_map_and_the_day(tmp_path: Path) -> None:
     tables = generate("line", 0)
-    plot_scenario(tables, "weekday", "line").savefig(tmp_path / "a.png")
+    figure = plot_scenario(tables, "weekday", "line")
+    figure.savefig(tmp_path / "a.png")
+    assert len({axes.get_xlim() for axes in figure.axes}) == 2  # the map's, and one of all hours
     with Image.open(tmp_path / "a.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).astype(int)
     left = pixels[:, : pixels.shape[1] * 55 // 100]

@@ -34,6 +34,13 @@ from headway_launch.experiments.compose import compose
         (["list", "observaitons"], ["did you mean headway list observations?"]),
         (["list"], ["KIND", "headway list --help"]),
         (["run", "--fast"], ["--fast", "headway run --help"]),
+        (
+            ["run", "seed=0", "env=trivial", "seed=1"],
+            ["seed=0 and seed=1 set the same key; omit one of them"],
+        ),
+        (["sweep", "algo.lr=1,2", "++algo.lr=3"], ["algo.lr=1,2 and ++algo.lr=3 set the same key"]),
+        (["run", "env=trivial", "--store", "here"], ["headway run takes store.root=FOLDER"]),
+        (["runs", "store.root=here"], ["headway runs takes --store FOLDER"]),
         (["runs", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
         (["resume", "--store", "."], ["name a run or --study"]),
         (["resume", "s0", "algo.lr=3"], ["algo.lr=3: a run continues with its own configuration; omit this"]),

@@ -184,3 +184,31 @@ def test_a_bus_day_is_drawn_as_map_and_diagram(tmp_path: Path) -> None:
     words = ["render", "bus", "--rule", "always_move", "env.args.end_hour=6", "--output", str(output)]
     assert run(words) == 0
     assert frames(output)[0][0] == 1180
+
+
+_PAINTED = """
+import numpy as np
+from scripted import Scripted
+
+class parallel_env(Scripted):
+    def __init__(self, mode: str = "rgb_array"):
+        super().__init__(length=5)
+        self.mode = mode
+
+    def render(self):
+        return np.full((40, 60, 3), 10 * self.steps, np.uint8) if self.render_mode == self.mode else None
+"""
+
+
+def test_a_module_environment_is_rendered_by_its_own_pictures(empty_folder: Path, refused: Refused) -> None:
+    """The last frame repeats the one before, since the environment has begun the next episode."""
+    Path("painted.py").write_text(_PAINTED)
+    words = ["render", "./painted.py", "--rule", "random", "env.shared_reward=false"]
+    assert run(words) == 0
+    with Image.open("painted.gif") as film:
+        assert film.n_frames >= 5
+    for step, shade in ((0, 0), (3, 30), (5, 40)):
+        assert run([*words, "--step", str(step), "--output", "moment.png"]) == 0
+        with Image.open("moment.png") as picture:
+            assert picture.getpixel((5, 5)) == (shade,) * 3
+    assert "must return an RGB picture" in refused(*words, "env.args.mode=human")

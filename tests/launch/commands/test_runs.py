@@ -85,6 +85,45 @@ def test_lines_of_csv_end_as_those_of_other_commands_do(
     assert "\r" not in told
 
 
+def _learning_rates_differ(store: Path) -> None:
+    """Put the two ippo runs into cells of their own, as a sweep over algo.lr does."""
+    for name, text in {"s0": "3e-05", "s1": "0.001"}.items():
+        (old,) = store.glob(f"bus/bus-ippo-1f2e3d-{name}-*")
+        new = old.rename(old.with_name(old.name.replace("1f2e3d", f"{name}aaaa")))
+        record = replace(RunRecord.read(new), run_id=new.name)
+        replace(record, parameters={**record.parameters, "algo.lr": text}).write(new)
+
+
+def test_what_a_sweep_varied_has_a_column(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The two ippo cells differ in algo.lr; mappo, which has one cell, shows its own value there."""
+    _learning_rates_differ(store)
+    assert run(["runs", "--store", str(store), "--format", "csv"]) == 0
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert {row["seed"]: row["algo.lr"] for row in rows} == {
+        "0": "3e-05",
+        "1": "0.001",
+        "2": "0.001",
+        "3": "0.001",
+    }
+    assert "algo.core" not in rows[0]
+    assert run(["runs", "--store", str(store), "--algo", "mappo"]) == 0
+    assert "algo.lr" not in capsys.readouterr().out
+
+
+def test_chosen_columns(store: Path, rows_of: RowsOf, capsys: pytest.CaptureFixture[str]) -> None:
+    chosen = ["--columns", "seed, algo.core,final_reward"]
+    lines = rows_of("runs", "--store", str(store), *chosen)
+    assert lines[:2] == [["seed", "algo.core", "final reward"], ["0", "gru", "310"]]
+    assert run(["runs", "--store", str(store), "--format", "json", *chosen]) == 0
+    assert json.loads(capsys.readouterr().out)[1] == {"seed": 1, "algo.core": "gru", "final_reward": 355.5}
+
+
+def test_json_has_the_parameters(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["runs", "--store", str(store), "--format", "json"]) == 0
+    first = json.loads(capsys.readouterr().out)[0]
+    assert first["parameters"] == {"algo.lr": 3e-05, "algo.core": "gru"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
@@ -98,6 +137,8 @@ def test_lines_of_csv_end_as_those_of_other_commands_do(
         (["--where", "seed=1) or (seed=2"], "'seed=1) or (seed=2' is not a condition ("),
         (["--seed", "99"], "--seed 99: no run has such a seed"),
         (["--where", "final_reward"], "'final_reward' is not a condition; write FIELD<VALUE"),
+        (["--columns", "seed,sede"], "--columns: a run has no field 'sede'; did you mean seed?"),
+        (["--columns", "algo.lrr"], "--columns: no run has the parameter 'algo.lrr'; did you mean algo.lr?"),
         (["--sort", "sede"], "did you mean seed?"),
         (["--sort", "seed downwards"], "write FIELD, FIELD asc or FIELD desc"),
     ],

@@ -63,8 +63,10 @@ MODULES = {
 
         played = []
 
-        def parallel_env(pays: tuple[float, ...] = (1.0, 1.0), seconds: float = 0.0):
+        def parallel_env(pays: tuple[float, ...] = (1.0, 1.0), seconds: float = 0.0, seen: float = 0.0):
             def script(env):
+                if env.steps == 2 and "b" in env.observations:
+                    env.observations["b"][1] = seen
                 if env.steps:
                     time.sleep(seconds)
                     played.append(env.steps)
@@ -260,6 +262,16 @@ def test_equal_rewards_are_noticed_behind_wrappers(zoo: str) -> None:
         entry = module_entry(f"{zoo}.paid_v0")
         wrapped = wrapped_entry("paid", entry, listed_wrappers([{"name": name} for name in names]))
         assert [SHARED in line for line in wrapped.prepare(wrapped.config()).notices] == [True]
+
+
+@pytest.mark.parametrize(("seen", "said"), [(-9.0, 0), (-9.00001, 0), (INF, 1), (-12.0, 1)])
+def test_an_observation_outside_its_space_is_noticed(zoo: str, seen: float, said: int) -> None:
+    """Rounding is none."""
+    lines = prepared(f"{zoo}.paid_v0", pays=(1.0, 2.0), seen=seen).notices
+    expected = (
+        f"agent 'b' observed {seen:g} at step 2, outside its observation_space (-9 to 2.147e+09 in place 1)"
+    )
+    assert [expected in line for line in lines] == [True] * said
 
 
 def test_a_slow_environment_is_not_played_for_long(zoo: str) -> None:

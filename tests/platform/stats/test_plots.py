@@ -7,6 +7,7 @@ from itertools import pairwise
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from headway.stats.plots import (
     colours,
@@ -41,6 +42,9 @@ def _assert_readable(figure: Figure) -> None:
         beside = [tick.get_window_extent() for tick in axes.get_yticklabels()]
         beside.sort(key=lambda box: box.y0)
         assert all(low.y1 <= high.y0 for low, high in pairwise(beside))
+        labels = sorted((Text.get_window_extent(text) for text in axes.texts), key=lambda box: box.y0)
+        assert all(low.y1 <= high.y0 for low, high in pairwise(labels))
+        assert all(axes.bbox.x1 < box.x0 and box.x1 <= figure.bbox.width for box in labels)
 
 
 @pytest.mark.filterwarnings("error")
@@ -86,6 +90,23 @@ def test_plots_of_twelve_cells_with_long_names_are_readable(kind: str) -> None:
         parts = pd.DataFrame({f"part_{part}": (-1.0) ** part for part in range(8)}, index=names)
         figure = reward_components(parts)
     _assert_readable(figure)
+
+
+def _curve(seeds: int) -> Figure:
+    points = {"env_steps": [0, 10], "mean": [0.0, 4.0], "low": [-1.0, 3.0], "high": [1.0, 5.0]}
+    means = pd.DataFrame({"task": "t", "controller": "mappo", "runs": seeds, **points})
+    rules = {"t": {"worse": 1.0, "better": 5.0, "hopeless": -900.0}}
+    return learning_curves(means, rules, "return", colours(["mappo"]))
+
+
+def test_lines_are_labelled_from_the_highest_to_those_off_scale() -> None:
+    texts = _curve(3).axes[0].texts
+    names = ["rule better", "mappo (3 seeds)", "rule worse", "rule hopeless (off scale: -900)"]
+    assert [text.get_text() for text in sorted(texts, key=lambda text: -text.get_position()[1])] == names
+
+
+def test_two_seeds_have_no_band() -> None:
+    assert [len(_curve(seeds).axes[0].collections) for seeds in (2, 3)] == [0, 1]
 
 
 def test_a_footprint_without_co2_has_no_panel_for_it() -> None:

@@ -40,6 +40,8 @@ def plot_scenario(tables: Tables, day: str, title: str) -> "Figure":
     trips = tables.trips[tables.trips["daytype"] == day]
     if trips.empty:
         raise HeadwayError(f"--day-type: there is no trip on a {day}; choose the other day type")
+    from matplotlib.ticker import MultipleLocator
+
     figure = Figure(figsize=(13.0, 7.6), dpi=130, layout="constrained")
     places: Any = figure.subplot_mosaic(
         [["map", "buses"], ["map", "boardings"], ["map", "headways"]], width_ratios=[2.0, 1.0]
@@ -48,6 +50,10 @@ def plot_scenario(tables: Tables, day: str, title: str) -> "Figure":
     _plot_buses(places["buses"], trips)
     _plot_boardings(places["boardings"], tables, day)
     _plot_headways(places["headways"], trips)
+    for place in ("boardings", "headways"):
+        places[place].sharex(places["buses"])
+    places["buses"].autoscale(axis="x")
+    places["buses"].xaxis.set_major_locator(MultipleLocator(3))
     figure.suptitle(title)
     return figure
 

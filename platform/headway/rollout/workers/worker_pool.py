@@ -194,7 +194,10 @@ class WorkerPool:
         if MIN_TIMEOUT_S <= waited < limit and self._is_notice_due(worker):
             worker.is_noticed = True
             doing = self._doing(worker.command)
-            self.notify(f"worker {shard} has not answered for {waited:.0f} s while {doing}; it may hang")
+            endless = ", or an episode does not end" if isinstance(worker.command, Evaluate) else ""
+            self.notify(
+                f"worker {shard} has not answered for {waited:.0f} s while {doing}; it may hang{endless}"
+            )
         return waited >= limit
 
     def _limit_s(self, worker: _Worker) -> float:

@@ -124,6 +124,10 @@ def test_a_worker_that_makes_its_environments_is_told_to_be_late_before_its_limi
     worker.sent_at -= 800
     assert pool._is_overdue(0)
     assert len(told) == 1
+    worker.send(EVALUATION)
+    worker.sent_at -= 100
+    assert not pool._is_overdue(0)
+    assert told[1].endswith("while evaluating on the town; it may hang, or an episode does not end")
 
 
 def test_of_no_workers_none_has_answered() -> None:
