@@ -9,10 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from headway.adapters.conformance import CHECKS, play
-from headway.contracts import EnvSpec, HeadwayError, Observations, StepResult
+from headway.contracts import EnvSpec, HeadwayError, ObservationFeature, Observations, StepResult
 from headway_envs.toy.visitors import Visitors, VisitorsConfig
 
 Change = Callable[[StepResult, Observations, int], None]
+FEATURES = tuple(ObservationFeature(f"x{i}", f"number {i}") for i in range(4))
 
 
 class Broken(Visitors):
@@ -90,6 +91,8 @@ def spoil_metrics(outcome: StepResult, observed: Observations, call: int) -> Non
         ("snapshots", pay_by_call, {}),
         ("snapshots", keep, {"snapshots": False}),
         ("spec", keep, {"groups": ("one",)}),
+        ("spec", keep, {"observation_features": FEATURES[:3]}),
+        ("spec", keep, {"observation_features": (*FEATURES[:3], FEATURES[0])}),
     ],
 )
 def test_a_violation_is_caught(check: str, change: Change, spec: dict[str, Any]) -> None:
