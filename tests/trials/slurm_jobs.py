@@ -165,7 +165,7 @@ def _told(script: Path) -> list[str]:
 
 def _fail(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
     """Run a job on one node whose trainings diverge; return what it leaves there."""
-    script = _written(root, [*sweep, "algo.lr=1e30"], ["--nodes=1", "--cpus=2"])
+    script = _written(root, [*sweep, "seed=0", "algo.lr=1e30"], ["--nodes=1", "--cpus=2"])
     job = jobs.submit(script)
     there: list[int] = []
 
@@ -184,7 +184,7 @@ def _fail(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
 
 def _cancel(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
     """Cancel a job that trains on both nodes; return what it leaves on them."""
-    script = _written(root, [*sweep, "env_steps=1e8"], ["--nodes=2", "--cpus=2"])
+    script = _written(root, [*sweep, "seed=0", "env_steps=1e8"], ["--nodes=2", "--cpus=2"])
     job = jobs.submit(script)
     until(lambda: bool(RunIndex(root).rows()) or jobs.states(job)[0] in _ENDED)
     there = jobs.nodes_with_ray()

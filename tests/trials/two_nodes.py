@@ -220,7 +220,9 @@ def cluster() -> Iterator[Nodes]:
         address = f"{head.address}:{_PORT}"
         told = Path(folder, "ray.out")
         as_head = ["--head", f"--port={_PORT}", f"--temp-dir={folder}"]
-        _start_ray(head, environment, told, [*as_head, "--num-cpus=4", "--include-dashboard=false"])
+        _start_ray(
+            head, environment, told, [*as_head, "--num-cpus=4", "--include-dashboard=false", "--no-monitor"]
+        )
         _start_ray(node, environment, told, [f"--address={address}", "--num-cpus=2"])
         yield nodes
 
