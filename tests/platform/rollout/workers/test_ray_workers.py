@@ -87,24 +87,22 @@ def _collected(
 def test_ray_workers_equal_processes_bit_for_bit() -> None:
     plan = plan_of_toy("tracking", seeds=(5, 6), core="gru")
     parameters, given = parameters_of(plan), []
-    for name in ("process", "ray"):
-        with collector_of(plan, name, 2) as collector:
+    with collector_of(plan, "process", 2) as processes, collector_of(plan, "ray", 2) as actors:
+        for collector in (processes, actors):
             collector.begin()
             evaluated = collector.evaluate(7, 23, False, parameters)
             first = iterations_of(collector, parameters, 1, 2)
             given.append((evaluated, first, collector.snapshot()))
             assert len(collector.process_ids()) == 2
             assert collector.usage().cpu_seconds > 0
-    processes, actors = given
-    assert actors[0] == processes[0]
-    assert_same(processes[1], actors[1])
-    # Each backend continues from the other's snapshots.
-    continued = []
-    for name, snapshots in (("process", actors[2]), ("ray", processes[2])):
-        with collector_of(plan, name, 2) as collector:
+        assert given[0][0] == given[1][0]
+        assert_same(given[0][1], given[1][1])
+        # Each backend returns to the other's snapshots.
+        third = iterations_of(processes, parameters, 3, 3)
+        assert_same(third, iterations_of(actors, parameters, 3, 3))
+        for collector, (_, _, snapshots) in zip((processes, actors), given[::-1], strict=True):
             collector.restore(snapshots, 2)
-            continued.append(iterations_of(collector, parameters, 3, 3))
-    assert_same(*continued)
+            assert_same(third, iterations_of(collector, parameters, 3, 3))
 
 
 @pytest.mark.cluster
