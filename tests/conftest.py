@@ -40,6 +40,18 @@ def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root / "mlflow.db"
 
 
+@pytest.fixture
+def new_stores(empty_database: Path) -> Callable[..., None]:
+    """Make stores in a folder, by their names in it, each with a copy of the empty database."""
+
+    def make(folder: Path, *names: str) -> None:
+        for name in names:
+            (root := folder / name).mkdir(parents=True)
+            shutil.copy(empty_database, root)
+
+    return make
+
+
 @pytest.fixture(autouse=True, scope="session")
 def _copied_databases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Give new stores of this process a copy of an empty MLflow database."""

@@ -21,7 +21,12 @@ _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTAL
 _MARK = "-- exit code"
 _IN_ONE_PROCESS = f"""
 import os, shlex, subprocess, sys
+sys.path.append({str(PROJECT / "tests" / "support")!r})
 from headway_launch.commands.main import run
+from headway_launch.runner import training_process
+from warm_training import WarmContext
+
+training_process.get_context = lambda method: WarmContext()
 
 def execute(line):
     words = shlex.split(os.path.expandvars(line))
@@ -35,7 +40,7 @@ for line in sys.argv[1:]:
     code = execute(line)
     print("{_MARK}", code, flush=True)
 """
-"""Executes the lines of a shell that it is given, without starting a process for each `headway`."""
+"""Executes the lines of a shell without a process for each `headway`, and trains in warm processes."""
 _BOTH_FORMS = """
 import numpy as np
 from crossing.envs import ENTRIES

@@ -39,15 +39,15 @@ def test_run_and_sweep_return_their_runs(capsys: pytest.CaptureFixture[str]) -> 
     frame = first.curves(["evaluation_greedy/return"])
     assert set(frame["run_id"]) == {row.run_id for row in first.rows}
 
-    swept = sweep(*TINY, seed=[0, 1, 2], **{"algo.lr": [1e-3, 1e-2]})
-    assert len(swept.rows) == 6
+    swept = sweep(*TINY, seed=[0, 1], **{"algo.lr": [1e-3, 1e-2]})
+    assert len(swept.rows) == 4
     # The newer of the two runs of seed 1 counts.
     assert {first.rows[0].run_id, again.rows[0].run_id} < {row.run_id for row in swept.rows}
     assert {name: os.environ.get(name) for name in ONE_THREAD} == before
     capsys.readouterr()
-    words = [*TINY, "seed=0..2", "algo.lr=1e-3,1e-2"]
+    words = [*TINY, "seed=0..1", "algo.lr=1e-3,1e-2"]
     assert run_command(["sweep", *words]) == 0
-    assert "6 finished and skipped" in capsys.readouterr().err
+    assert "4 finished and skipped" in capsys.readouterr().err
 
 
 def test_python_values_are_those_of_the_command_line() -> None:

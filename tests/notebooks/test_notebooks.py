@@ -58,7 +58,7 @@ def test_a_notebook_runs_and_shows_its_pictures(
     from nbclient import NotebookClient
 
     monkeypatch.setenv("HEADWAY_STORE", str(store))
-    monkeypatch.setenv("HEADWAY_ENV_STEPS", "12_000")
+    monkeypatch.setenv("HEADWAY_ENV_STEPS", "6_000")
     monkeypatch.delenv("MPLBACKEND", raising=False)
     path = PROJECT / "notebooks" / f"{name}.ipynb"
     notebook = nbformat.read(path, as_version=4)

@@ -1,9 +1,9 @@
 """A kill, a misbehaving environment and a storage fault end as they should; a planted loss is noticed."""
 
 import random
-import shutil
 import signal
 import sqlite3
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -19,11 +19,9 @@ pytestmark = pytest.mark.slow
 
 
 def test_a_disturbed_study_equals_the_undisturbed_one_and_a_loss_is_noticed(
-    tmp_path: Path, empty_database: Path
+    tmp_path: Path, new_stores: Callable[..., None]
 ) -> None:
-    for name in ("whole", "disturbed"):
-        (root := tmp_path / name / "runs").mkdir(parents=True)
-        shutil.copy(empty_database, root)
+    new_stores(tmp_path, "whole/runs", "disturbed/runs")
     sweep = [*STUDIES["workers"], *BASE, "seed=0", "env_steps=2400"]
     table, whole = undisturbed(sweep, tmp_path / "whole"), tmp_path / "whole" / "runs"
     disturbed = DisturbedStudy(sweep, tmp_path / "disturbed", random.Random(1))

@@ -60,6 +60,8 @@ NodeName=node2 NodeHostname={host} NodeAddr={other.address} CPUs=2
 PartitionName=trial Nodes=ALL Default=YES State=UP
 """
 _READY_S = 60.0
+_POLL_S = 0.5
+"""Time between questions about a job, each of which starts a program of Slurm."""
 _ENDED = ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT", "NODE_FAIL", "BOOT_FAIL", "OUT_OF_MEMORY")
 
 
@@ -92,7 +94,7 @@ class Slurm:
 
     def end(self, job: str) -> str:
         """Wait for the end of a job and return its final states."""
-        until(lambda: all(state in _ENDED for state in self.states(job)))
+        until(lambda: all(state in _ENDED for state in self.states(job)), _POLL_S)
         return " ".join(sorted(set(self.states(job))))
 
     def nodes_with_ray(self) -> int:
@@ -165,7 +167,7 @@ def _told(script: Path) -> list[str]:
 
 def _fail(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
     """Run a job on one node whose trainings diverge; return what it leaves there."""
-    script = _written(root, [*sweep, "algo.lr=1e30"], ["--nodes=1", "--cpus=2"])
+    script = _written(root, [*sweep, "seed=0", "algo.lr=1e30"], ["--nodes=1", "--cpus=2"])
     job = jobs.submit(script)
     there: list[int] = []
 
@@ -173,7 +175,7 @@ def _fail(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
         there.append(jobs.nodes_with_ray())
         return jobs.states(job)[0] in _ENDED
 
-    until(ended)
+    until(ended, _POLL_S)
     [state] = jobs.states(job)
     print(f"failed: {state}", flush=True)
     failed = state == "FAILED" and {row.status for row in RunIndex(root).rows()} == {"FAILED"}
@@ -184,7 +186,7 @@ def _fail(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
 
 def _cancel(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
     """Cancel a job that trains on both nodes; return what it leaves on them."""
-    script = _written(root, [*sweep, "env_steps=1e8"], ["--nodes=2", "--cpus=2"])
+    script = _written(root, [*sweep, "seed=0", "env_steps=1e8"], ["--nodes=2", "--cpus=2"])
     job = jobs.submit(script)
     until(lambda: bool(RunIndex(root).rows()) or jobs.states(job)[0] in _ENDED)
     there = jobs.nodes_with_ray()

@@ -220,7 +220,9 @@ def cluster() -> Iterator[Nodes]:
         address = f"{head.address}:{_PORT}"
         told = Path(folder, "ray.out")
         as_head = ["--head", f"--port={_PORT}", f"--temp-dir={folder}"]
-        _start_ray(head, environment, told, [*as_head, "--num-cpus=4", "--include-dashboard=false"])
+        _start_ray(
+            head, environment, told, [*as_head, "--num-cpus=4", "--include-dashboard=false", "--no-monitor"]
+        )
         _start_ray(node, environment, told, [f"--address={address}", "--num-cpus=2"])
         yield nodes
 
@@ -335,13 +337,13 @@ def resume_all(processes: Sequence[psutil.Process]) -> None:
             process.resume()
 
 
-def until(condition: Callable[[], bool]) -> None:
+def until(condition: Callable[[], bool], poll_s: float = _POLL_S) -> None:
     """Wait until a condition holds. Raises HeadwayError after `_TIMEOUT_S`."""
     deadline = time.monotonic() + _TIMEOUT_S
     while not condition():
         if time.monotonic() > deadline:
             raise HeadwayError("the study makes no progress")
-        time.sleep(_POLL_S)
+        time.sleep(poll_s)
 
 
 def _is_working(process: psutil.Process, turn: Turn) -> bool:

@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -88,10 +87,9 @@ def runs(folder: Path) -> list[RunRow]:
 
 
 @pytest.fixture
-def folder(tmp_path: Path, empty_database: Path) -> Path:
+def folder(tmp_path: Path, new_stores: Callable[..., None]) -> Path:
     """Working directory with an empty store."""
-    (tmp_path / "runs").mkdir()
-    shutil.copy(empty_database, tmp_path / "runs")
+    new_stores(tmp_path, "runs")
     return tmp_path
 
 

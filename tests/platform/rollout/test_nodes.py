@@ -12,6 +12,7 @@ from rehearsal import FaultConfig, FaultyVisitors, assert_same, iterations_of, p
 from headway.config.experiment import BackendConfig
 from headway.rollout.backends import open_collector
 from headway.rollout.plan import RolloutPlan
+from headway.rollout.workers.ray_cluster import _without_unused_daemons
 
 if TYPE_CHECKING:
     from ray.cluster_utils import Cluster
@@ -32,7 +33,8 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Cluster"]:
     settings = {"object_store_memory": 10**8, "include_log_monitor": False}
     head = {"num_cpus": 0, "include_dashboard": False, "no_monitor": True}
     before = ray_processes()
-    whole = Cluster(initialize_head=True, head_node_args={**settings, **head})
+    with _without_unused_daemons():
+        whole = Cluster(initialize_head=True, head_node_args={**settings, **head})
     try:
         for _ in range(2):
             whole.add_node(num_cpus=2, **settings)

@@ -8,7 +8,7 @@ import sys
 import time
 
 from headway.contracts.errors import HeadwayError
-from headway.rollout.workers.ray_cluster import connect, disconnect, require_ray
+from headway.rollout.workers.ray_cluster import connect, disconnect, require_answer, require_ray
 from headway_launch.console.output import print_line
 
 _PATIENCE_S = 300.0
@@ -16,7 +16,7 @@ _POLL_S = 0.5
 
 
 def wait_for_nodes(address: str, number: int, patience_s: float = _PATIENCE_S) -> None:
-    """Wait until the cluster has `number` live nodes.
+    """Wait until the cluster has `number` live nodes; 0: until its head answers, without Ray.
 
     Raises HeadwayError with the reason after `patience_s` seconds, or at once if Ray is not installed.
     """
@@ -24,7 +24,8 @@ def wait_for_nodes(address: str, number: int, patience_s: float = _PATIENCE_S) -
     deadline = time.monotonic() + patience_s
     while True:
         try:
-            found = _nodes_of(address)
+            require_answer(address)
+            found = _nodes_of(address) if number else 0
         except HeadwayError as error:
             missing = str(error)
         else:

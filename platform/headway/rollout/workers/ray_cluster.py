@@ -109,7 +109,7 @@ def _open_connection(ray: Any, address: str) -> None:  # noqa: ANN401 - a module
         _connection.folder = tempfile.mkdtemp(prefix=f"{_FOLDER}{os.getpid()}-")
         settings |= {"include_dashboard": False, "_temp_dir": _connection.folder}
     else:
-        address = _reachable(address)
+        address = require_answer(address)
     _connection.opened_here = True
     # Even without `log_to_driver` Ray prints the death of a worker to stdout, which is kept for tables.
     _connection.print_function = ray._private.worker.print_to_stdstream
@@ -162,14 +162,14 @@ def _remove_stale_folders() -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _reachable(address: str) -> str:
+def require_answer(address: str) -> str:
     """Return the address if a cluster answers there within seconds, and raise HeadwayError otherwise.
 
     Ray itself would retry for minutes. With `auto` the address is that in RAY_ADDRESS, if any.
     """
     if address == "auto":
         from_environment = os.environ.get("RAY_ADDRESS", "")
-        return address if ":" not in from_environment else _reachable(from_environment)
+        return address if ":" not in from_environment else require_answer(from_environment)
     host, _, port = address.rpartition(":")
     try:
         with socket.create_connection((host, int(port)), _REACHED_S) as channel:

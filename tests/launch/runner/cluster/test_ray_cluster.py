@@ -6,12 +6,12 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
-import psutil
 import pytest
 from command_lines import Refused
 from ray_processes import assert_gone, ray_processes
@@ -41,10 +41,11 @@ TINY = (
     "rollout.steps=32",
     "evaluation.episodes=1",
     "evaluation.final_episodes=2",
+    "evaluation.rules=[]",
     "store.checkpoint_every=4",
     "backend.workers=2",
+    "env_steps=10240",
 )
-LONG = (*TINY, "env_steps=5120")
 PATIENCE_S = 180.0
 
 
@@ -67,118 +68,78 @@ def _kept(folder: Path) -> int:
     return max((latest_iteration(each) or 0 for each in (folder / "runs").rglob(CHECKPOINTS)), default=0)
 
 
-def _until_kept(process: "subprocess.Popen[str]", folder: Path) -> None:
-    """Wait for the first checkpoint."""
+def _until_kept(process: "subprocess.Popen[str]", folder: Path, after: int = 0) -> None:
+    """Wait for the first checkpoint later than iteration `after`."""
     deadline = time.monotonic() + PATIENCE_S
-    while not _kept(folder):
-        assert process.poll() is None
+    while _kept(folder) <= after:
+        assert process.poll() is None, process.communicate()[1]
         assert time.monotonic() < deadline
         time.sleep(0.05)
 
 
 @pytest.fixture(scope="module")
-def by_processes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the same training with worker processes."""
+def by_processes(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    """Tables of the same training with worker processes."""
     folder = tmp_path_factory.mktemp("process")
-    with _started("run", *LONG, folder=folder) as process:
-        _, shown = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 0, shown
-    return folder
+    assert run(["run", *TINY, f"store.root={folder / 'runs'}"]) == 0
+    return _tables(_runs(folder)[3])
 
 
-@dataclass(frozen=True)
-class Killed:
-    """A session on a local cluster that was killed."""
-
-    folder: Path
-    before: set[psutil.Process]
-    """Ray's processes before it."""
+@pytest.fixture
+def folder(tmp_path: Path, new_stores: Callable[..., None]) -> Path:
+    """Working directory with an empty store."""
+    new_stores(tmp_path, "runs")
+    return tmp_path
 
 
-@pytest.fixture(scope="module")
-def killed(tmp_path_factory: pytest.TempPathFactory) -> Killed:
-    killed = Killed(tmp_path_factory.mktemp("killed"), ray_processes())
-    with _started("run", *LONG, "backend=ray", folder=killed.folder) as process:
-        _until_kept(process, killed.folder)
+@pytest.mark.cluster
+@needs_ray
+def test_a_killed_session_resumes_to_the_curves_of_processes_and_ctrl_c_keeps_a_checkpoint(
+    folder: Path, by_processes: Log
+) -> None:
+    """Ctrl-C at a terminal reaches the whole process group, including Ray's processes."""
+    before = ray_processes()
+    with _started("run", *TINY, "backend=ray", folder=folder) as process:
+        _until_kept(process, folder)
         process.kill()
         process.communicate(timeout=PATIENCE_S)
-    return killed
-
-
-@pytest.mark.cluster
-@needs_ray
-def test_a_killed_session_resumes_to_the_curves_of_processes(killed: Killed, by_processes: Path) -> None:
-    runs = _runs(killed.folder)
-    assert 0 < _kept(killed.folder) < 40
-    with _started("resume", *(row.run_id for row in runs.values()), folder=killed.folder) as process:
-        _, told = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 0, told
-    assert "(raylet)" not in told
-    ended, expected = _runs(killed.folder), _runs(by_processes)
-    assert [row.status for row in ended.values()] == ["FINISHED"]
-    assert _tables(ended[3]) == _tables(expected[3])
-
-
-@pytest.mark.cluster
-@needs_ray
-def test_a_sweep_places_runs_on_the_cluster_and_a_lost_one_continues(
-    by_processes: Path, tmp_path: Path
-) -> None:
-    before = ray_processes()
-    sweep = (
-        "sweep",
-        *LONG,
-        "algo=ippo,ia2c",
-        "backend=ray",
-        "backend.learners=cluster",
-        "backend.parallel=1",
-    )
-    with _started(*sweep, folder=tmp_path) as process:
-        _until_kept(process, tmp_path)
-        hosts = [host for host in ray_processes() - before if "TrainingHost" in " ".join(host.cmdline())]
-        (host,) = hosts
-        children = host.children(recursive=True)
-        host.kill()
-        _, shown = process.communicate(timeout=2 * PATIENCE_S)
-        assert process.returncode == 0, shown
-    assert (
-        shown.count(
-            "its training process was lost (its worker process has died); restarted from its last checkpoint"
-        )
-        == 1
-    )
-    assert not any(child.is_running() for child in children)
-    ended = {row.algorithm: row for row in RunIndex(tmp_path / "runs").rows()}
-    assert {name: row.status for name, row in ended.items()} == {"ippo": "FINISHED", "ia2c": "FINISHED"}
-    assert _tables(ended["ippo"]) == _tables(_runs(by_processes)[3])
-    assert_gone(before)
-
-
-@pytest.mark.cluster
-@needs_ray
-def test_ctrl_c_at_the_terminal_keeps_the_checkpoint(tmp_path: Path) -> None:
-    """The signal reaches the whole process group, including Ray's processes."""
-    before = ray_processes()
-    with _started(
-        "run", *TINY, "backend=ray", "backend.workers=2", "env_steps=1e8", folder=tmp_path
-    ) as process:
-        _until_kept(process, tmp_path)
+    killed_at, [row] = _kept(folder), _runs(folder).values()
+    with _started("resume", row.run_id, folder=folder) as process:
+        _until_kept(process, folder, after=killed_at)
         os.killpg(process.pid, signal.SIGINT)
         _, shown = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 130, shown
     assert "with a checkpoint" in shown
     assert "failed" not in shown
-    (row,) = _runs(tmp_path).values()
+    assert "(raylet)" not in shown
+    [row] = _runs(folder).values()
     assert row.status == "KILLED"
-    assert latest_iteration(Path(row.directory, CHECKPOINTS)) == row.iterations
+    assert killed_at < row.iterations == _kept(folder) < 80
+    for table, rows in _tables(row).items():
+        assert rows == by_processes[table][: len(rows)]
+    assert len(_tables(row)["curve"]) >= row.iterations
     assert_gone(before)
 
 
 @pytest.mark.cluster
 @needs_ray
-def test_a_killed_session_leaves_no_process(killed: Killed) -> None:
-    """Ray's agents take a minute, in which the tests before this one run."""
-    assert_gone(killed.before)
+def test_a_sweep_places_runs_on_the_cluster_and_a_lost_one_continues(folder: Path, by_processes: Log) -> None:
+    before = ray_processes()
+    sweep = ("sweep", *TINY, "backend=ray", "backend.learners=cluster")
+    with _started(*sweep, folder=folder) as process:
+        _until_kept(process, folder)
+        [host] = [host for host in ray_processes() - before if "TrainingHost" in " ".join(host.cmdline())]
+        children = host.children(recursive=True)
+        host.kill()
+        _, shown = process.communicate(timeout=2 * PATIENCE_S)
+        assert process.returncode == 0, shown
+    lost = "its training process was lost (its worker process has died); restarted from its last checkpoint"
+    assert shown.count(lost) == 1
+    assert not any(child.is_running() for child in children)
+    [row] = _runs(folder).values()
+    assert row.status == "FINISHED"
+    assert _tables(row) == by_processes
+    assert_gone(before)
 
 
 @pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")

@@ -1,14 +1,15 @@
 """Addresses of Ray clusters: one that cannot be used is refused in one line."""
 
+import base64
 import os
 import socket
 import subprocess
-import sys
 import threading
+import time
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
-from ray_processes import assert_gone, ray_processes
 
 from headway.config.experiment import BackendConfig
 from headway.contracts import HeadwayError
@@ -38,27 +39,28 @@ def test_an_address_without_a_cluster_is_refused_in_one_line(monkeypatch: pytest
 @pytest.mark.cluster
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 def test_a_cluster_that_requires_a_token_is_refused_with_the_setting(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ray._private import ray_constants
+    """The head's server checks it, before any other daemon is asked."""
+    from ray._private import ray_constants, services
 
     monkeypatch.setattr(ray_constants, "NUM_REDIS_GET_RETRIES", 2)
     monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
-    with socket.create_server(("127.0.0.1", 0)) as server:
+    host = services.get_node_ip_address()
+    with socket.create_server((host, 0)) as server:
         port = server.getsockname()[1]
-    before = ray_processes()
-    head = [sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--node-ip-address=127.0.0.1"]
-    head += [f"--port={port}", "--num-cpus=0", "--include-dashboard=false", "--include-log-monitor=false"]
-    head += [f"--temp-dir={tmp_path_factory.mktemp('ray')}", f"--object-store-memory={10**8}"]
-    token = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": "0" * 64, "RAY_USAGE_STATS_ENABLED": "0"}
-    try:
-        subprocess.run(head, env={**os.environ, **token}, check=True, capture_output=True, timeout=120)
-        refusal = _refusal(f"127.0.0.1:{port}")
-    finally:
-        for process in ray_processes() - before:
-            process.kill()
-    assert_gone(before)
-    assert f"the Ray cluster at 127.0.0.1:{port} requires a token: set RAY_AUTH_MODE=token" in refusal
+    head = [services.GCS_SERVER_EXECUTABLE, f"--gcs_server_port={port}", f"--node-ip-address={host}"]
+    head += ["--session-name=session", f"--session-dir={tmp_path}", f"--node-id={'0' * 56}"]
+    head += [f"--log_dir={tmp_path}", f"--config_list={base64.b64encode(b'{}').decode()}"]
+    token = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": "0" * 64}
+    with subprocess.Popen(head, env={**os.environ, **token}, stdout=subprocess.DEVNULL) as process:
+        deadline = time.monotonic() + 60.0
+        while time.monotonic() < deadline and "no Ray cluster answers" in (
+            refusal := _refusal(f"{host}:{port}")
+        ):
+            time.sleep(0.1)
+        process.kill()
+    assert f"the Ray cluster at {host}:{port} requires a token: set RAY_AUTH_MODE=token" in refusal
 
 
 def _answered(server: socket.socket, port: int) -> str:

@@ -35,7 +35,6 @@ from headway.rollout.backends import open_collector, open_contributors
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.workers import ray_cluster
 from headway.rollout.workers.async_worker import AsynchronousPlan
-from headway.rollout.workers.usage import usable_cores
 from headway.rollout.workers.worker import Contribute
 from headway.rollout.workers.worker_pool import WorkerFailedError
 
@@ -75,9 +74,9 @@ def test_workers_import_the_same_modules_as_this_process() -> None:
 
 
 def _collected(
-    plan: RolloutPlan, name: str, notices: list[str] | None = None, timeout_s: float | None = None
+    plan: RolloutPlan, name: str, workers: int, notices: list[str], timeout_s: float | None = None
 ) -> list[Taken]:
-    with collector_of(plan, name, 2, print if notices is None else notices.append, timeout_s) as collector:
+    with collector_of(plan, name, workers, notices.append, timeout_s) as collector:
         collector.begin()
         return iterations_of(collector, parameters_of(plan), 1, 3)
 
@@ -88,24 +87,22 @@ def _collected(
 def test_ray_workers_equal_processes_bit_for_bit() -> None:
     plan = plan_of_toy("tracking", seeds=(5, 6), core="gru")
     parameters, given = parameters_of(plan), []
-    for name in ("process", "ray"):
-        with collector_of(plan, name, 2) as collector:
+    with collector_of(plan, "process", 2) as processes, collector_of(plan, "ray", 2) as actors:
+        for collector in (processes, actors):
             collector.begin()
             evaluated = collector.evaluate(7, 23, False, parameters)
             first = iterations_of(collector, parameters, 1, 2)
             given.append((evaluated, first, collector.snapshot()))
             assert len(collector.process_ids()) == 2
             assert collector.usage().cpu_seconds > 0
-    processes, actors = given
-    assert actors[0] == processes[0]
-    assert_same(processes[1], actors[1])
-    # Each backend continues from the other's snapshots.
-    continued = []
-    for name, snapshots in (("process", actors[2]), ("ray", processes[2])):
-        with collector_of(plan, name, 2) as collector:
+        assert given[0][0] == given[1][0]
+        assert_same(given[0][1], given[1][1])
+        # Each backend returns to the other's snapshots.
+        third = iterations_of(processes, parameters, 3, 3)
+        assert_same(third, iterations_of(actors, parameters, 3, 3))
+        for collector, (_, _, snapshots) in zip((processes, actors), given[::-1], strict=True):
             collector.restore(snapshots, 2)
-            continued.append(iterations_of(collector, parameters, 3, 3))
-    assert_same(*continued)
+            assert_same(third, iterations_of(collector, parameters, 3, 3))
 
 
 @pytest.mark.cluster
@@ -113,45 +110,57 @@ def test_ray_workers_equal_processes_bit_for_bit() -> None:
 @pytest.mark.usefixtures("local")
 def test_ray_workers_may_each_hold_one_seed_of_a_stack() -> None:
     """They use the parameters of the iteration, and others evaluate."""
-    plan = plan_of(LoneVisitors, VISITORS, seeds=(5, 6), copies=2)
+    plan = plan_of(LoneVisitors, VISITORS, seeds=(5, 6), copies=1)
     early, late, given = parameters_of(plan), parameters_of(replace(plan, seeds=(98, 99))), []
     for name in ("process", "ray"):
-        with collector_of(plan, name, 4) as collector:
+        with collector_of(plan, name, 2) as collector:
             collector.begin()
             evaluated = collector.evaluate(7, 3, False, early)
             taken = iterations_of(collector, early, 1, 1) + iterations_of(collector, late, 2, 2)
             given.append((evaluated, taken))
-            assert len(collector.process_ids()) == 4 + min(2, usable_cores())
+            assert len(collector.process_ids()) == 2 + 1
     assert given[0][0] == given[1][0]
     assert_same(given[0][1], given[1][1])
 
 
-def _faulty(folder: Path, fault: Fault = "kill", times: int = 1) -> RolloutPlan:
-    return plan_of(FaultyVisitors, FaultConfig(fault, str(folder), at=30, copies=2, times=times))
+def _faulty(folder: Path, fault: Fault = "kill", times: int = 1, workers: int = 1) -> RolloutPlan:
+    return plan_of(FaultyVisitors, FaultConfig(fault, str(folder), at=30, copies=4 // workers, times=times))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[Taken]:
+    """Data of worker processes without a fault."""
+    return _collected(_faulty(tmp_path_factory.mktemp("none"), times=0), "process", 2, [])
 
 
 @pytest.mark.cluster
 @needs_ray
 @pytest.mark.usefixtures("local")
 @pytest.mark.parametrize(
-    ("fault", "reason"),
+    ("fault", "workers", "reason"),
     [
-        ("kill", "its worker process has died"),
-        ("raise", "RuntimeError: the bridge is out"),
+        ("kill", 2, "its worker process has died"),
+        ("raise", 1, "RuntimeError: the bridge is out"),
         (
             "hang",
+            1,
             "no answer for 5 s while stepping faulty in iteration 2; if it is only slow, set a higher "
             "backend.worker_timeout_s",
         ),
     ],
 )
 def test_a_ray_worker_that_fails_does_not_change_the_data(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], fault: Fault, reason: str
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    undisturbed: list[Taken],
+    fault: Fault,
+    workers: int,
+    reason: str,
 ) -> None:
     notices: list[str] = []
     timeout_s = 5.0 if fault == "hang" else None
-    disturbed = _collected(_faulty(tmp_path, fault), "ray", notices, timeout_s)
-    assert_same(_collected(_faulty(tmp_path, times=0), "process"), disturbed)
+    disturbed = _collected(_faulty(tmp_path, fault, workers=workers), "ray", workers, notices, timeout_s)
+    assert_same(undisturbed, disturbed)
     assert notices == [
         f"worker {notices[0][7]} failed ({reason}); replaced, repeating its part from the last snapshot"
     ]
@@ -164,7 +173,7 @@ def test_a_ray_worker_that_fails_does_not_change_the_data(
 @pytest.mark.usefixtures("local")
 def test_a_ray_worker_that_fails_twice_ends_the_run_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(WorkerFailedError, match=r"failed twice \(its worker process has died") as failure:
-        _collected(_faulty(tmp_path, times=9), "ray", [])
+        _collected(_faulty(tmp_path, times=9), "ray", 1, [])
     assert "\n" not in str(failure.value)
 
 
@@ -202,7 +211,7 @@ def test_ray_s_message_about_a_lost_actor_becomes_a_short_reason(message: str, r
 def test_an_error_of_the_user_s_is_raised_without_a_replacement(tmp_path: Path) -> None:
     notices: list[str] = []
     with pytest.raises(HeadwayError, match="environment faulty gave inf as reward"):
-        _collected(_faulty(tmp_path, "nan reward"), "ray", notices)
+        _collected(_faulty(tmp_path, "nan reward"), "ray", 1, notices)
     assert notices == []
 
 
@@ -210,7 +219,7 @@ def test_an_error_of_the_user_s_is_raised_without_a_replacement(tmp_path: Path) 
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_contributors_run_in_ray_workers_too() -> None:
-    rollout = plan_of_toy("visitors", copies=4, block=2)
+    rollout = plan_of_toy("visitors", copies=2, block=2)
     plan, published = AsynchronousPlan(rollout, Showing, None), parameters_of(rollout)
     shown: dict[str, list[Arrays]] = {}
     for name in ("serial", "ray"):
@@ -223,7 +232,7 @@ def test_contributors_run_in_ray_workers_too() -> None:
             shown[name] = [dict(each.arrays) for each in contributions if each is not None]
             evaluated = contributors.evaluate(7, 2, True, published)
             assert len(evaluated[0]) == 2
-    assert len(shown["ray"]) == 2
+    assert len(shown["ray"]) == 1
     for serial, actor in zip(shown["serial"], shown["ray"], strict=True):
         for name, array in serial.items():
             if not name.startswith("final"):  # valid in few rows
@@ -253,7 +262,7 @@ class Mine(Trivial):
 
 if __name__ == "__main__":
     plan = plan_of(Mine, TrivialConfig(agents=3, steps=10))
-    collector = open_collector(BackendConfig("ray", address=sys.argv[2], worker_cpus=0), plan, 2, print)
+    collector = open_collector(BackendConfig("ray", address=sys.argv[2], worker_cpus=0), plan, 1, print)
     collector.begin()
     print(len(collector.collect(1, parameters_of(plan))), "episodes")
     collector.close()
