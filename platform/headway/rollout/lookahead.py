@@ -17,7 +17,7 @@ from headway.contracts import (
 )
 
 LOOKAHEAD = "lookahead"
-STEPS, SAMPLES = 60, 8
+STEPS, SAMPLES = 30, 8
 """Default horizon, in environment steps, and number of simulated futures."""
 _LOTS = (16, 8, 4, 2, 1)
 """Numbers of joint actions simulated in one batch."""
