@@ -18,10 +18,10 @@ from headway_algos.on_policy.updates.losses import A2CLoss
 
 LR = 3e-3
 """Adam's learning rate at the start of the imitation."""
-BATCH, STEPS, MAX_EPOCHS = 1_000, 2_000, 50
-"""Rows of a minibatch, and about how many minibatches are learned from, unless that took more epochs."""
-EPOCHS_PER_ITERATION, MINIBATCHES_PER_EPOCH = 16, 8
-"""For recurrent policies."""
+EPOCHS, MINIBATCHES = 20, 100
+"""Passes over the decisions of all iterations, in so many minibatches each."""
+SEQUENCE_EPOCHS, SEQUENCE_MINIBATCHES = 16, 8
+"""Passes of recurrent policies over the sequences of each iteration."""
 ENTROPY_COEFF = 0.3
 """Weight of the entropy, without which a policy that imitates a deterministic rule no longer explores: with
 two actions the probability of the rule's tends to 0.97 instead of 1."""
@@ -34,19 +34,15 @@ def imitate(
     layout: Layout,
     generators: Sequence[np.random.Generator],
 ) -> dict[str, Tensor]:
-    """Raise the likelihood of the actions in `rows`, the decisions of many iterations, until it settles.
+    """Raise the likelihood of the actions in `rows`, the decisions of many iterations.
 
     The learning rate falls to 0 over the epochs. Returns metrics (P,) of the last one, NaN for policies
     without rows. A Gaussian's spread is kept for exploration.
     """
-    if not rows.selected.any():
-        return {}
-    minibatches = -(-rows.selected.shape[1] // BATCH)
-    epochs = min(MAX_EPOCHS, -(-STEPS // minibatches))
-    learned, update = _update(actor, config, layout, 1, minibatches)
+    learned, update = _update(actor, config, layout, 1, MINIBATCHES)
     info: dict[str, Tensor] = {}
-    for epoch in range(epochs):
-        update.anneal(1 - epoch / epochs)
+    for epoch in range(EPOCHS):
+        update.anneal(1 - epoch / EPOCHS)
         info = update.improve(rows, torch.ones_like(rows.log_probs), generators)
     _take_over(actor, learned)
     return info
@@ -66,7 +62,7 @@ def imitate_sequences(
     `share`, of the learning rate, should fall from call to call: an iteration may show one part of an episode
     only, which the next would overwrite.
     """
-    learned, update = _update(actor, config, layout, EPOCHS_PER_ITERATION, MINIBATCHES_PER_EPOCH)
+    learned, update = _update(actor, config, layout, SEQUENCE_EPOCHS, SEQUENCE_MINIBATCHES)
     update.anneal(share)
     info = update.improve(rows, torch.ones_like(rows.log_probs), generators)
     _take_over(actor, learned)

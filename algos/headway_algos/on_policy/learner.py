@@ -90,7 +90,7 @@ class OnPolicyLearner(PolicyStack):
         # Observations of the trajectory include the indices already.
         acting = acting_policy(replace(config, agent_id=False), spec)
         self.behaviour = BehaviourPolicy(config, self.actor, acting, self.layout)
-        self.rule_decisions = RuleDecisions(len(seeds) * policies)
+        self.rule_decisions = RuleDecisions(len(seeds), policies)
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
         """Return the actor's tensors and normaliser, as named by the acting policy."""
@@ -221,7 +221,7 @@ class OnPolicyLearner(PolicyStack):
             return {}
         moments = self.actor.moments if self.config.normalise_observations else None
         sample = self.rule_decisions.rows(moments, self.device)
-        self.rule_decisions = RuleDecisions(len(rows.selected))
+        self.rule_decisions = RuleDecisions(len(self.seeds), self.grouping.num_policies)
         return imitate(self.actor, sample, *parts)
 
     def replay_state(self) -> dict[str, Any] | None:

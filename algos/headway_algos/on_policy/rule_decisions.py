@@ -11,19 +11,21 @@ from torch import Tensor
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.networks.normalisation import RunningStatistics
 
-CAPACITY = 200_000
-"""Most decisions that are kept per policy."""
+CAPACITY, LEAST = 200_000, 5_000
+"""Most decisions that are kept for the policies of a seed together, in equal parts of at least `LEAST`."""
 
 
 class RuleDecisions:
-    """A sample of a rule's decisions for each of P policies.
+    """A sample of a rule's decisions for each of P = R x K policies.
 
-    The last `CAPACITY` would show one part of an episode too often: every decision is kept with the same
+    The last ones alone would show one part of an episode too often: every decision is kept with the same
     probability, by random keys of which the smallest stay.
     """
 
-    def __init__(self, policies: int) -> None:
-        self.kept: list[dict[str, Tensor]] = [{} for _ in range(policies)]
+    def __init__(self, replicas: int, policies: int) -> None:
+        """`replicas`: R; `policies`: K."""
+        self.capacity = max(CAPACITY // policies, LEAST)
+        self.kept: list[dict[str, Tensor]] = [{} for _ in range(replicas * policies)]
 
     def include(self, rows: PolicyBatch, generators: Sequence[np.random.Generator]) -> None:
         """Include the selected rows, whose observations are not normalised. `generators`: one per policy."""
@@ -36,23 +38,27 @@ class RuleDecisions:
             new["keys"] = torch.from_numpy(random.random(len(chosen)))
             kept = self.kept[place]
             both = {name: torch.cat((kept[name], new[name])) if kept else new[name] for name in new}
-            if len(both["keys"]) > CAPACITY:
-                smallest = both["keys"].topk(CAPACITY, largest=False).indices.sort().values
+            if len(both["keys"]) > self.capacity:
+                smallest = both["keys"].topk(self.capacity, largest=False).indices.sort().values
                 both = {name: column[smallest] for name, column in both.items()}
             self.kept[place] = both
 
     def rows(self, moments: RunningStatistics | None, device: torch.device) -> PolicyBatch:
         """Return the decisions, padded to the longest policy's; `moments` normalise the observations."""
         counts = np.array([len(kept["keys"]) for kept in self.kept])
+        longest = max(counts.max(), 1)
 
         def padded(name: str) -> Tensor:
             parts = [kept[name] for kept in self.kept]
-            return torch.nn.utils.rnn.pad_sequence(parts, batch_first=True).to(device)
+            rows = parts[0].new_zeros((len(parts), longest, *parts[0].shape[1:]))
+            for row, part in zip(rows, parts, strict=True):
+                row[: len(part)] = part
+            return rows.to(device)
 
         observations = padded("observations")
         if moments is not None:
             observations = moments.normalised(observations)
-        selected: NDArray[np.bool_] = np.arange(counts.max()) < counts[:, None]
+        selected: NDArray[np.bool_] = np.arange(longest) < counts[:, None]
         masks = None
         if "masks" in self.kept[0]:
             masks = padded("masks") | torch.from_numpy(~selected).to(device)[..., None]

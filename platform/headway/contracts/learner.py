@@ -47,7 +47,8 @@ class Learner(Protocol):
 
 @runtime_checkable
 class LearnerWithReplay(Learner, Protocol):
-    """A learner that stores transitions and replays them.
+    """A learner that keeps data to learn from later: a replay buffer, or a rule's decisions until they are
+    imitated.
 
     Replay data can be a thousand times larger than all other state and is useless once training is over. It
     is therefore stored in a separate file, which is deleted when the run is finished.

@@ -1,7 +1,8 @@
 """Checkpoints with a checksum, loaded without executing code from the file.
 
-A file is a magic line, the SHA-256 of the rest, and the output of `torch.save`. A replay buffer, which can be
-large, is stored in a separate file beside the checkpoint and removed when the run has finished.
+A file is a magic line, the SHA-256 of the rest, and the output of `torch.save`. Replay data, which can be
+large (a replay buffer, or a rule's decisions until they are imitated), are stored in a separate file beside
+the checkpoint and removed when the run has finished.
 """
 
 import hashlib
@@ -57,7 +58,7 @@ def write_checkpoint(directory: Path, iteration: int, content: bytes, gate: Path
 
 
 def write_replay(directory: Path, iteration: int, content: bytes, gate: Path | None = None) -> Path:
-    """Write the replay buffer of `iteration`, before the checkpoint that it belongs to.
+    """Write the replay data of `iteration`, before the checkpoint that they belong to.
 
     Arguments and errors are those of `write_checkpoint`.
     """
@@ -65,7 +66,7 @@ def write_replay(directory: Path, iteration: int, content: bytes, gate: Path | N
 
 
 def remove_replay(directory: Path, gate: Path | None = None) -> None:
-    """Delete all stored replay buffers of a finished run. Raises HeadwayError if the gate has been closed."""
+    """Delete all stored replay data of a finished run. Raises HeadwayError if the gate has been closed."""
     for _, path in _files(directory, "experience"):
         discard(path, gate)
 
@@ -82,9 +83,9 @@ def _write(directory: Path, kind: str, iteration: int, content: bytes, gate: Pat
 
 
 def load_for_resume(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
-    """Load the newest checkpoint from which training can resume, with its replay buffer.
+    """Load the newest checkpoint from which training can resume, with its replay data.
 
-    Arguments, result and errors are those of `load_latest`; the state also contains the replay buffer as
+    Arguments, result and errors are those of `load_latest`; the state also contains the replay data as
     `replay` (None: the learner has none). A stack stores it in only one of its folders.
     """
     return _newest_valid(directories, _with_replay(directories))
@@ -107,11 +108,11 @@ def _with_replay(directories: Sequence[Path]) -> Callable[[Path], dict[str, Any]
         name = path.name.replace("checkpoint", "experience")
         found = [directory / name for directory in directories if (directory / name).exists()]
         if not found:
-            raise ValueError(f"its replay buffer {name} is missing")
+            raise ValueError(f"its replay data {name} are missing")
         try:
             return {**state, "replay": _load(found[0])}
         except ValueError as error:
-            raise ValueError(f"its replay buffer {name} is broken: {error}") from error
+            raise ValueError(f"its replay data {name} are broken: {error}") from error
 
     return load
 

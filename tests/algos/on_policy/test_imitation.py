@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from learned import assert_equal, tensors
+from learned import assert_equal, joined, tensors
 from numpy.typing import NDArray
 
 from headway.contracts import (
@@ -20,6 +20,7 @@ from headway.contracts import (
     Trajectory,
 )
 from headway_algos.config import ModelConfig
+from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.registry import ENTRIES, configure
 
 Fabricate = Callable[..., Trajectory]
@@ -161,6 +162,31 @@ def test_actions_that_the_mask_forbids_teach_nothing(fabricate: Fabricate) -> No
     networks = {name for name in before if "moments" not in name}
     after = tensors(learner.state_dict()["actor"])
     assert_equal({name: after[name] for name in networks}, {name: before[name] for name in networks})
+
+
+@pytest.mark.parametrize(("policies", "spec"), [("shared", MASKED), ("independent", SPEC), ("shared", BOX)])
+def test_seeds_of_a_stack_imitate_as_each_would_alone(
+    policies: str, spec: EnvSpec, fabricate: Fabricate
+) -> None:
+    """Although one has many decisions, one few and one none; all as one learner, as on a GPU."""
+    config = configure("ippo", model=MODEL, precision="float64", policies=policies)
+    tracks = []
+    for number, absent in enumerate((0.1, 0.9, 0.1)):
+        track = [fabricate(spec, 32, 4, seed=10 * number + i, absent=absent) for i in (1, 2)]
+        for made in track:
+            made.actions[:] = _rule_actions(spec, made.observations[:-1], made.action_masks[:-1])
+            made.acting[:] &= number < 2
+        tracks.append(track)
+    stacked = OnPolicyLearner(config, spec, (1, 2, 3), "cpu")
+    alone = [OnPolicyLearner(config, spec, (seed,), "cpu") for seed in (1, 2, 3)]
+    for iteration in (1, 2):
+        metrics = stacked.imitate(joined([track[iteration - 1] for track in tracks]), iteration, 2)
+        for learner, track in zip(alone, tracks, strict=True):
+            learner.imitate(track[iteration - 1], iteration, 2)
+    assert np.isfinite(metrics["policy/entropy"]).tolist() == [True, True, False]
+    for name, array in stacked.acting_parameters().items():
+        parts = [learner.acting_parameters()[name] for learner in alone]
+        np.testing.assert_allclose(array, np.concatenate(parts), rtol=1e-7, atol=1e-9)
 
 
 def test_choices_that_are_rare_and_come_in_one_part_of_an_episode_are_imitated(fabricate: Fabricate) -> None:

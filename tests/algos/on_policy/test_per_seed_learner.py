@@ -158,8 +158,10 @@ def test_training_resumed_from_a_checkpoint_is_exact(
     second.load_state_dict(reloaded(first.state_dict()))
     if isinstance(first, LearnerWithReplay) and isinstance(second, LearnerWithReplay):
         kept = first.replay_state()
-        assert len(kept["open"]["streams"]) > 0
-        second.load_replay_state(kept)
+        assert (kept is not None) == (name in ("madqn", "ddpg"))
+        if kept is not None:
+            assert len(kept["open"]["streams"]) > 0
+            second.load_replay_state(kept)
     (expected, metrics), (got, same) = (_trained(learner, tracks[2:], done=2) for learner in (first, second))
     assert_equal(got, expected)
     assert_equal(same, metrics)

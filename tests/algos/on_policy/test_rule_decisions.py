@@ -14,7 +14,8 @@ from headway_algos.on_policy.rule_decisions import RuleDecisions
 @pytest.fixture(autouse=True)
 def _capacity() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rule_decisions, "CAPACITY", 100)
+        patch.setattr(rule_decisions, "CAPACITY", 200)
+        patch.setattr(rule_decisions, "LEAST", 1)
         yield
 
 
@@ -33,7 +34,7 @@ def _numbers(decisions: RuleDecisions, policy: int) -> list[int]:
 
 
 def test_all_are_kept_up_to_the_capacity_and_only_selected_ones() -> None:
-    decisions, selected = RuleDecisions(2), np.ones((2, 40), np.bool_)
+    decisions, selected = RuleDecisions(1, 2), np.ones((2, 40), np.bool_)
     selected[1, ::2] = False
     for first in (0, 40):
         decisions.include(_batch(first, selected), [np.random.default_rng(p) for p in range(2)])
@@ -46,7 +47,7 @@ def test_each_is_kept_with_the_same_probability() -> None:
     counts = np.zeros(4)
     repeats = 200
     for repeat in range(repeats):
-        decisions = RuleDecisions(2)
+        decisions = RuleDecisions(1, 2)
         generators = [np.random.default_rng([repeat, p]) for p in range(2)]
         for first in range(0, 400, 100):
             decisions.include(_batch(first, np.ones((2, 100), np.bool_)), generators)
@@ -58,12 +59,12 @@ def test_each_is_kept_with_the_same_probability() -> None:
 
 
 def test_its_state_continues_it() -> None:
-    one, other = RuleDecisions(2), RuleDecisions(2)
+    one, other = RuleDecisions(1, 2), RuleDecisions(1, 2)
     generators = [[np.random.default_rng(p) for p in range(2)] for _ in range(2)]
     for first in range(0, 300, 60):
         one.include(_batch(first, np.ones((2, 60), np.bool_)), generators[0])
         other.include(_batch(first, np.ones((2, 60), np.bool_)), generators[1])
-        restored = RuleDecisions(2)
+        restored = RuleDecisions(1, 2)
         restored.load_state(other.state())
         other = restored
     assert _numbers(one, 1) == _numbers(other, 1)

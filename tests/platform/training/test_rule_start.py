@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rehearsal import TOYS, collector_of, parameters_of, plan_of_toy
-from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
+from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained, with_algorithm
 
 from headway.contracts import HeadwayError, Rule, child_seeds
 from headway.events import EvaluationFinished
 from headway.rollout.plan import RolloutPlan
 from headway.training.loop import TrainingJob
+from headway_algos.registry import ENTRIES
 from headway_envs.toy.tracking import OptimalTracking
 from headway_envs.toy.visitors import OptimalVisitors
 
@@ -65,6 +66,22 @@ def test_a_run_that_is_resumed_ends_with_the_same_curve(whole: Log, tmp_path: Pa
     trained(job, stop_after=stop)
     trained(replace(job, resume=True))
     assert logs_of(job) == [whole]
+
+
+@pytest.mark.parametrize("shared_until", [0.0, 0.75])
+def test_a_stack_of_seeds_is_resumed_in_the_rules_iterations(shared_until: float, tmp_path: Path) -> None:
+    """Each seed's decisions so far are stored once for the stack; also those of a policy to be split."""
+    jobs = []
+    for name in ("whole", "halves"):
+        job = _job(tmp_path / name, seeds=(4, 5))
+        config = replace(job.algo_config, policies="independent", shared_until=shared_until)
+        jobs.append(with_algorithm(job, ENTRIES["ippo"], config))
+    whole, halves = jobs
+    trained(whole)
+    trained(halves, stop_after=2)
+    assert list(halves.checkpoints[0].glob("experience-*"))
+    trained(replace(halves, resume=True))
+    assert logs_of(halves) == logs_of(whole)
 
 
 def test_workers_and_other_seeds_change_nothing(whole: Log, tmp_path: Path) -> None:
