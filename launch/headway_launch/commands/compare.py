@@ -10,9 +10,14 @@ from typing import TYPE_CHECKING
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.rollout.lookahead import is_lookahead
-from headway_launch.commands.evaluate import OTHER_EPISODES, add_best_argument
 from headway_launch.commands.run import add_config_dir_argument
-from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
+from headway_launch.commands.runs import (
+    OTHER_EVALUATION_SEED,
+    add_best_argument,
+    add_store_argument,
+    add_where_argument,
+    existing_store,
+)
 
 if TYPE_CHECKING:
     from headway.events import Row
@@ -56,8 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed",
         type=int,
-        default=OTHER_EPISODES,
-        help=f"root of the episode seeds (default: {OTHER_EPISODES})",
+        default=OTHER_EVALUATION_SEED,
+        help=f"root of the episode seeds (default: {OTHER_EVALUATION_SEED})",
     )
     parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy", help="how policies act")
     add_best_argument(parser)
@@ -179,9 +184,11 @@ class _Subject:
 def _subject(arguments: argparse.Namespace) -> _Subject:
     from headway_launch.experiments.compose import compose
     from headway_launch.experiments.options import options
+    from headway_launch.experiments.override_words import require_each_key_once
 
     if "=" in arguments.study:
         words = [arguments.study, *arguments.overrides]
+        require_each_key_once(words)
         _require_for_rules(words)
         if arguments.best:
             raise HeadwayError("--best has no effect if rules are compared alone; omit it, or name a study")

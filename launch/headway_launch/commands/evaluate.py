@@ -3,7 +3,12 @@
 import argparse
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.commands.runs import (
+    OTHER_EVALUATION_SEED,
+    add_best_argument,
+    add_store_argument,
+    existing_store,
+)
 
 EXAMPLES = """\
 examples:
@@ -18,17 +23,6 @@ keep their shapes. Differences are of the return, policy minus rule, paired by e
 over episodes.
 `headway list metrics ENVIRONMENT` describes the other metrics.
 """
-OTHER_EPISODES = 2_000_003
-"""Root of the seeds of episodes that decide nothing during training."""
-
-
-def add_best_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --best, shared by the commands that load policies."""
-    parser.add_argument(
-        "--best",
-        action="store_true",
-        help="the policy with the highest mean return in its training's evaluations (default: the newest)",
-    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed",
         type=int,
-        help=f"root of the episode seeds (default: the run's evaluation.seed; with --best {OTHER_EPISODES})",
+        help="root of the episode seeds (default: the run's evaluation.seed; with --best "
+        f"{OTHER_EVALUATION_SEED})",
     )
     add_best_argument(parser)
     parser.add_argument("--rules", help="rules to evaluate, comma-separated (default: all that can run)")
@@ -73,7 +68,7 @@ def execute(arguments: argparse.Namespace) -> int:
     evaluation = experiment.config.evaluation
     episodes = evaluation.last_episodes if arguments.episodes is None else arguments.episodes
     # The best policy was chosen by the episodes of evaluation.seed: on these its return is too high.
-    usual = OTHER_EPISODES if arguments.best else evaluation.seed
+    usual = OTHER_EVALUATION_SEED if arguments.best else evaluation.seed
     root = usual if arguments.seed is None else arguments.seed
     if episodes < 1 or root < 0:
         raise HeadwayError("--episodes must be at least 1 and --seed at least 0")

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import EnvironmentRaisedError, HeadwayError
-from headway_launch.commands.evaluate import add_best_argument
-from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.commands.runs import add_best_argument, add_store_argument, existing_store
 from headway_launch.console.output_files import require_writable
 
 if TYPE_CHECKING:

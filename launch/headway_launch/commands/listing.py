@@ -26,6 +26,7 @@ from headway_launch.commands.run import add_config_dir_argument
 from headway_launch.console.output import print_line
 from headway_launch.console.tables import print_table
 from headway_launch.experiments.options import config_file, options, summary_of
+from headway_launch.experiments.override_words import require_each_key_once
 
 EXAMPLES = """\
 examples:
@@ -204,7 +205,9 @@ def observation_rows(name: str, overrides: Sequence[str] = ()) -> list[tuple[str
     """
     from headway_launch.experiments.compose import compose
 
-    spec = compose([f"env={name}", *overrides]).prepare().spec
+    words = [f"env={name}", *overrides]
+    require_each_key_once(words)
+    spec = compose(words).prepare().spec
     if not spec.observation_features:
         raise HeadwayError(
             f"{name} does not describe the {spec.observation_size} numbers of its observations; "

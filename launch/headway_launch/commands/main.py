@@ -70,7 +70,11 @@ COMMANDS = {
             "realism": Command("compare simulated days with measured data", "data.realism"),
         },
     ),
-    "list": Command("list environments, algorithms, wrappers, rules, experiments, presets, keys", "listing"),
+    "list": Command(
+        "list environments, algorithms, wrappers, rules, metrics, observations, experiments, presets, "
+        "searches, keys or a schema",
+        "listing",
+    ),
 }
 """Every command by name."""
 _ONE_THREAD = ("run", "sweep", "search", "resume", "evaluate", "export", "compare", "render")
@@ -79,16 +83,16 @@ _ONE_THREAD = ("run", "sweep", "search", "resume", "evaluate", "export", "compar
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        if message.startswith("unrecognized") and (fix := _store_option(message)):
+        if message.startswith("unrecognized") and (fix := self._store_option(message)):
             raise HeadwayError(f"{message}; {self.prog} takes {fix}")
         raise HeadwayError(f"{message}; see {self.prog} --help")
 
-
-def _store_option(message: str) -> str:
-    """Return the other form of the store's folder if a message is about one of the two."""
-    if "store.root=" in message:
-        return "--store FOLDER"
-    return "store.root=FOLDER" if "--store" in message else ""
+    def _store_option(self, message: str) -> str:
+        """Return the command's own form of the store's folder if a message is about the other form."""
+        if "store.root=" in message and self.get_default("store") is not None:
+            return "--store FOLDER"
+        trains = self.get_default("dry_run") is not None
+        return "store.root=FOLDER" if "--store" in message and trains else ""
 
 
 def main() -> None:
@@ -217,7 +221,10 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
         parsed = parser.parse_intermixed_args(rest)
     except SystemExit as done:  # --help
         return int(done.code or 0)
-    _require_each_key_once(getattr(parsed, "overrides", ()))
+    if overrides := getattr(parsed, "overrides", ()):
+        from headway_launch.experiments.override_words import require_each_key_once
+
+        require_each_key_once(overrides)
     parsed.command, parsed.debug = name, debug
     code: int
     if (folder := getattr(parsed, "config_dir", None)) is None:
@@ -228,15 +235,6 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
     with own_configs(folder):
         code = module.execute(parsed)
     return code
-
-
-def _require_each_key_once(overrides: Sequence[str]) -> None:
-    """Raise HeadwayError if a key has two values: Hydra would silently take the last."""
-    given: dict[str, str] = {}
-    for override in overrides:
-        key, equals, _ = override.partition("=")
-        if equals and given.setdefault(key.strip("+ "), override) != override:
-            raise HeadwayError(f"{given[key.strip('+ ')]} and {override} set the same key; omit one of them")
 
 
 def _module_of(command: Command) -> ModuleType:

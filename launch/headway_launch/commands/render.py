@@ -180,8 +180,11 @@ def _player(arguments: argparse.Namespace) -> _Player:
         )
     from headway.registry import rule_entry
     from headway_launch.experiments.compose import compose
+    from headway_launch.experiments.override_words import require_each_key_once
 
-    experiment = compose([f"env={arguments.name}", *arguments.overrides])
+    words = [f"env={arguments.name}", *arguments.overrides]
+    require_each_key_once(words)
+    experiment = compose(words)
     found = experiment.prepare()
     try:
         rule = rule_entry(experiment.env, arguments.rule).make(found.prepared)

@@ -82,6 +82,8 @@ _HEADINGS = {
     "run_id": "run",
 }
 """Column headings that differ from the field's name, as in the results table that ends a run."""
+OTHER_EVALUATION_SEED = 2_000_003
+"""Root of the seeds of episodes that decide nothing during training."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -156,6 +158,15 @@ def add_where_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_best_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --best, shared by the commands that load policies."""
+    parser.add_argument(
+        "--best",
+        action="store_true",
+        help="the policy with the highest mean return in its training's evaluations (default: the newest)",
+    )
+
+
 def existing_store(folder: str) -> Path:
     """Return the folder of a store. Raises HeadwayError if it does not exist."""
     if not Path(folder).is_dir():
@@ -220,7 +231,7 @@ def _table(
     }
     after = fields.index("seed")
     names = [*fields[:after], *varied, *fields[after:]]
-    return names, [_values(row, names, own[row.cell]) for row in rows], varied
+    return names, [_values(row, names, own.get(row.cell, {})) for row in rows], varied
 
 
 def _headings(fields: Sequence[str]) -> list[str]:

@@ -1,7 +1,7 @@
-"""Overrides written from Python values, in Hydra's grammar."""
+"""Overrides in Hydra's grammar: checked, and written from Python values."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.options import options
@@ -9,6 +9,15 @@ from headway_launch.experiments.options import options
 _WORD = re.compile(r"[A-Za-z_][\w.]*", re.ASCII)
 """Pattern of text that needs no quotes."""
 _BEFORE_QUOTE = re.compile(r'(\\*)("|$)')
+
+
+def require_each_key_once(words: Sequence[str]) -> None:
+    """Raise HeadwayError if a key has two values: Hydra would silently take the last."""
+    given: dict[str, str] = {}
+    for word in words:
+        key, equals, _ = word.partition("=")
+        if equals and (first := given.setdefault(key.strip("+ "), word)) != word:
+            raise HeadwayError(f"{first} and {word} set the same key; omit one of them")
 
 
 def override_words(keys: Mapping[str, object], sweep: bool = False) -> list[str]:

@@ -27,6 +27,8 @@ _TOKEN = re.compile(
     | (?P<word>[a-z_][\w./]*)""",
     re.VERBOSE | re.IGNORECASE,
 )
+_NAME = re.compile(r"[-+]?0[0-9]|.*_")
+"""Beginning of text that Python reads as a number, but str does not write."""
 _COMPARISON = re.compile(r"[<>=]|\b(in|like|glob|between|is)\b", re.IGNORECASE)
 _SORT_KEY = re.compile(r"(?P<field>\S+)(?P<direction>\s+(asc|desc))?", re.IGNORECASE)
 _KEYWORDS = {"and", "or", "not", "in", "is", "null", "between", "like", "glob"}
@@ -71,15 +73,16 @@ def column_names(rows: Sequence[RunRow], columns: str) -> list[str]:
 
 
 def parameters_of(row: RunRow) -> dict[str, str | int | float]:
-    """Return a run's parameters by dotted name; numbers as such."""
-    found = RunRecord.read(Path(row.directory)).parameters
-    return {name: as_number(text) for name, text in found.items()}
+    """Return a run's parameters by dotted name, numbers as such; none if its record cannot be read."""
+    return {name: as_number(text) for name, text in _texts(row).items()}
 
 
 def as_number(text: str) -> str | int | float:
-    """Return the finite number that a text is, or else the text."""
+    """Return the finite number that a text is, or else the text; `007` and `2024_01` are names."""
+    if _NAME.match(text):
+        return text
     for kind in (int, float):
-        with suppress(ValueError):
+        with suppress(ValueError, OverflowError):
             return value if isfinite(value := kind(text)) else text
     return text
 
@@ -128,7 +131,15 @@ class _Columns:
 
     @cached_property
     def _parameters(self) -> list[Mapping[str, str]]:
-        return [RunRecord.read(Path(row.directory)).parameters for row in self._rows]
+        return [_texts(row) for row in self._rows]
+
+
+def _texts(row: RunRow) -> Mapping[str, str]:
+    """Return a run's parameters as its record has them; none if that cannot be read, as the index tells."""
+    try:
+        return RunRecord.read(Path(row.directory)).parameters
+    except HeadwayError:
+        return {}
 
 
 def _expression(text: str, columns: _Columns) -> str:

@@ -3,10 +3,12 @@
 import ast
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from headway.config.experiment import NO_PRESET
+from headway.contracts.errors import HeadwayError
 from headway.store.index import RunRow
 from headway.store.run_folder import RunRecord
 from headway.wording import environment_name
@@ -75,20 +77,24 @@ def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
     return names_among({cell: _choice(members) for cell, members in cells.items()})
 
 
-def varied_settings(runs: Iterable[RunRow]) -> tuple[list[str], dict[str, Mapping[str, str]]]:
+def varied_settings(runs: Sequence[RunRow]) -> tuple[list[str], dict[str, Mapping[str, str]]]:
     """Return the names of the settings that a sweep varied, and all settings of each cell by its key.
 
     A setting is varied if it differs between cells of one study, environment, algorithm and preset. Choices
-    that are fields of a run, such as `algo.policies`, are left out.
-
-    Raises HeadwayError if a run's record cannot be read.
+    that are fields of a run, such as `algo.policies`, are left out, and so are cells whose record cannot be
+    read.
     """
     cells: dict[str, list[RunRow]] = defaultdict(list)
-    alike: dict[tuple[str, ...], set[str]] = defaultdict(set)
     for run in runs:
         cells[run.cell].append(run)
-        alike[run.study, run.environment, run.algorithm, run.preset].add(run.cell)
-    settings = {cell: _choice(members).parameters for cell, members in cells.items()}
+    settings: dict[str, Mapping[str, str]] = {}
+    for cell, members in cells.items():
+        with suppress(HeadwayError):
+            settings[cell] = _choice(members).parameters
+    alike: dict[tuple[str, ...], set[str]] = defaultdict(set)
+    for run in runs:
+        if run.cell in settings:
+            alike[run.study, run.environment, run.algorithm, run.preset].add(run.cell)
     varied: dict[str, None] = {}
     for keys in alike.values():
         names = {name: None for key in sorted(keys) for name in settings[key]}

@@ -133,7 +133,7 @@ def batched_agent_indicator(arguments: AgentIndicator, bounds: ObservationBounds
     pad = np.full(len(columns), bounds.high.min(), dtype=np.float32)
     low, high = np.append(bounds.low, np.zeros_like(pad)), np.append(bounds.high, pad)
     features = tuple(
-        ObservationFeature(f"is_{name}", f"positive for {name}, else 0", scale=float(height))
+        ObservationFeature(f"is_{name}", f"1 for {name}, else 0", scale=1.0 / float(height or 1.0))
         for name in columns
     )
     wrap = partial(ChangedObservations, size=len(low), write=partial(_append, suffix), appended=features)

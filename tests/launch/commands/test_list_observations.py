@@ -1,7 +1,12 @@
 """`headway list observations`: the numbers of an observation as the environment and its wrappers say."""
 
+from contextlib import closing
+
+import numpy as np
 import pytest
 from command_lines import Refused, RowsOf
+
+from headway_launch.experiments.compose import compose
 
 
 def test_index_name_unit_scale_and_meaning_are_listed(rows_of: RowsOf) -> None:
@@ -23,6 +28,20 @@ def test_arguments_and_wrappers_count(rows_of: RowsOf) -> None:
     names = [row[1] for row in rows_of("list", "observations", "matrix", wrappers)[1:]]
     frame = ("row", "column", "is_row", "is_column")
     assert names == [f"{name}{time}" for time in ("[t-1]", "[t]") for name in frame]
+
+
+def test_an_agent_s_indicator_times_its_scale_is_one() -> None:
+    """Its number is the highest upper bound of the observations, which is not 1 here."""
+    words = ("env=bus", "env.args.observation=control", "env.wrappers=[agent_indicator_v0]")
+    found = compose(words).prepare()
+    with closing(found.entry.make(found.prepared, 1)) as env:
+        observations = env.reset([7]).observations[0]
+        spec = env.spec
+    features = spec.observation_features[-spec.num_agents :]
+    indicators = observations[:, -spec.num_agents :]
+    assert set(np.unique(indicators)) == {0.0, 5.0}
+    np.testing.assert_allclose(indicators * [each.scale for each in features], np.eye(spec.num_agents))
+    assert [each.meaning for each in features] == [f"1 for {agent}, else 0" for agent in spec.agents]
 
 
 @pytest.mark.parametrize(

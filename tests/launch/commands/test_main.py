@@ -15,6 +15,7 @@ from command_lines import Refused, RowsOf
 from headway.config.schema import describe
 from headway.registry import env_entries, env_entry
 from headway_launch.commands import compare, evaluate, main
+from headway_launch.commands.listing import KINDS
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 
@@ -40,7 +41,12 @@ from headway_launch.experiments.compose import compose
         ),
         (["sweep", "algo.lr=1,2", "++algo.lr=3"], ["algo.lr=1,2 and ++algo.lr=3 set the same key"]),
         (["run", "env=trivial", "--store", "here"], ["headway run takes store.root=FOLDER"]),
+        (["list", "envs", "--store", "here"], ["--store here; see headway list --help"]),
+        (["data", "plot", "here", "store.root=x"], ["store.root=x; see headway data plot --help"]),
         (["runs", "store.root=here"], ["headway runs takes --store FOLDER"]),
+        (["list", "observations", "bus", "env=merge"], ["env=bus and env=merge set the same key"]),
+        (["compare", "env=bus", "env=merge"], ["env=bus and env=merge set the same key"]),
+        (["render", "bus", "--rule", "idle", "env=merge"], ["env=bus and env=merge set the same key"]),
         (["runs", "--store", "nowhere"], ["there is no store in 'nowhere'"]),
         (["resume", "--store", "."], ["name a run or --study"]),
         (["resume", "s0", "algo.lr=3"], ["algo.lr=3: a run continues with its own configuration; omit this"]),
@@ -80,6 +86,11 @@ def test_help_imports_numpy_alone() -> None:
     shown = subprocess.run([sys.executable, "-c", _HELP], capture_output=True, text=True, check=True).stdout
     assert "headway run" in shown
     assert shown.splitlines()[-1] == "imported: headway headway_launch numpy"
+
+
+def test_the_summary_of_list_names_every_kind() -> None:
+    summary = main.COMMANDS["list"].summary
+    assert [kind for kind in KINDS if kind not in summary and kind.removesuffix("s") not in summary] == []
 
 
 def test_keys_of_an_algorithm_are_listed_with_the_rollout_that_it_brings(rows_of: RowsOf) -> None:

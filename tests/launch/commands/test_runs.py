@@ -110,6 +110,28 @@ def test_what_a_sweep_varied_has_a_column(store: Path, capsys: pytest.CaptureFix
     assert "algo.lr" not in capsys.readouterr().out
 
 
+def test_a_run_whose_record_broke_is_listed_without_its_parameters(
+    store: Path, rows_of: RowsOf, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The index keeps what it read before; the other ippo run has then no cell to differ from."""
+    _learning_rates_differ(store)
+    words = ["runs", "--store", str(store)]
+    assert rows_of(*words)[0].count("algo.lr") == 1
+    [record] = store.glob("bus/*-s1-*/run.json")
+    record.write_text(record.read_text()[:40])
+    assert "algo.lr" not in rows_of(*words)[0]
+    capsys.readouterr()
+    assert run([*words, "--format", "csv", "--columns", "seed,status,algo.lr"]) == 0
+    listed, notice = capsys.readouterr()
+    assert listed.splitlines()[1:] == [
+        "0,FINISHED,3e-05", "1,FINISHED,", "2,KILLED,0.001", "3,FINISHED,0.001",
+    ]  # fmt: skip
+    assert str(record) in notice
+    assert run([*words, "--format", "json"]) == 0
+    parameters = [row["parameters"] for row in json.loads(capsys.readouterr().out)]
+    assert [own.get("algo.lr") for own in parameters] == [3e-05, None, 0.001, 0.001]
+
+
 def test_chosen_columns(store: Path, rows_of: RowsOf, capsys: pytest.CaptureFixture[str]) -> None:
     chosen = ["--columns", "seed, algo.core,final_reward"]
     lines = rows_of("runs", "--store", str(store), *chosen)

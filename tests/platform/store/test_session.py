@@ -365,7 +365,7 @@ def test_the_wait_for_a_locked_database_is_bounded(root: Path) -> None:
     tracker.cell("study", "cell", {}, {})
 
 
-_ONE_OF_TWO = """
+_ONE_OF_FOUR = """
 import sys, time
 root, folder, seed, moment = sys.argv[1:]
 sys.path.insert(0, folder)
@@ -381,21 +381,21 @@ sys.exit(str(notices) if notices or not rows else 0)
 
 
 @pytest.mark.slow
-def test_two_sessions_can_open_a_new_store_together(tmp_path: Path) -> None:
+def test_four_sessions_can_open_a_new_store_together(tmp_path: Path) -> None:
     moment, here = str(time.time() + 1.5), str(Path(__file__).parent)
     commands = [
-        [sys.executable, "-c", _ONE_OF_TWO, str(tmp_path), here, str(seed), moment] for seed in range(2)
+        [sys.executable, "-c", _ONE_OF_FOUR, str(tmp_path), here, str(seed), moment] for seed in range(4)
     ]
     sessions = [subprocess.Popen(command) for command in commands]
-    assert [session.wait(300) for session in sessions] == [0, 0]
-    assert sorted(row.final_reward or 0.0 for row in RunIndex(tmp_path).rows()) == [0, 1]
+    assert [session.wait(300) for session in sessions] == [0, 0, 0, 0]
+    assert sorted(row.final_reward or 0.0 for row in RunIndex(tmp_path).rows()) == [0, 1, 2, 3]
     client = _mlflow(tmp_path)
     assert len(client.search_experiments()) == 2
-    # One parent for the cell that both share, and each curve once.
+    # One parent for the cell that all four share, and each curve once.
     found = client.search_runs(["1"])
-    assert len(found) == 3
+    assert len(found) == 5
     points = sorted(len(client.get_metric_history(run.info.run_id, "train/reward")) for run in found)
-    assert points == [0, 10, 10]
+    assert points == [0, 10, 10, 10, 10]
 
 
 _KILLED = """

@@ -94,7 +94,7 @@ trap end_ray EXIT
 "${on_nodes[@]}" --nodes=1 --ntasks=1 "--nodelist=$SLURMD_NODENAME" "${and_tidy[@]}" \\
     "${ray[@]}" --head "--node-ip-address=$address" "--port=$port" "--temp-dir=$folder" \\
     --include-dashboard=false --no-monitor > "$logs/$SLURM_JOB_ID-head.out" 2>&1 &
-"$python" -m headway_launch.runner.cluster.ray_nodes "$address:$port" 0
+"$python" -m headway_launch.runner.cluster.ray_nodes "$address:$port"
 if [ "$others" -gt 0 ]; then
     "${on_others[@]}" "${and_tidy[@]}" "${ray[@]}" "--address=$address:$port" \\
         > "$logs/$SLURM_JOB_ID-nodes.out" 2>&1 &

@@ -94,7 +94,7 @@ def folder(tmp_path: Path, new_stores: Callable[..., None]) -> Path:
 
 @pytest.mark.cluster
 @needs_ray
-def test_a_killed_session_resumes_to_the_curves_of_processes_and_ctrl_c_keeps_a_checkpoint(
+def test_a_session_killed_and_then_stopped_by_ctrl_c_resumes_to_the_curves_of_processes(
     folder: Path, by_processes: Log
 ) -> None:
     """Ctrl-C at a terminal reaches the whole process group, including Ray's processes."""
@@ -115,18 +115,21 @@ def test_a_killed_session_resumes_to_the_curves_of_processes_and_ctrl_c_keeps_a_
     [row] = _runs(folder).values()
     assert row.status == "KILLED"
     assert killed_at < row.iterations == _kept(folder) < 80
-    for table, rows in _tables(row).items():
-        assert rows == by_processes[table][: len(rows)]
-    assert len(_tables(row)["curve"]) >= row.iterations
+    with _started("resume", row.run_id, folder=folder) as process:
+        _, shown = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, shown
+    [row] = _runs(folder).values()
+    assert row.status == "FINISHED"
+    assert _tables(row) == by_processes
     assert_gone(before)
 
 
 @pytest.mark.cluster
 @needs_ray
-def test_a_sweep_places_runs_on_the_cluster_and_a_lost_one_continues(folder: Path, by_processes: Log) -> None:
+def test_runs_queue_on_the_cluster_and_a_lost_one_continues(folder: Path, by_processes: Log) -> None:
     before = ray_processes()
-    sweep = ("sweep", *TINY, "backend=ray", "backend.learners=cluster")
-    with _started(*sweep, folder=folder) as process:
+    words = ("algo=ippo,ia2c", "backend=ray", "backend.learners=cluster", "backend.parallel=1")
+    with _started("sweep", *(word for word in TINY if word != "algo=ippo"), *words, folder=folder) as process:
         _until_kept(process, folder)
         [host] = [host for host in ray_processes() - before if "TrainingHost" in " ".join(host.cmdline())]
         children = host.children(recursive=True)
@@ -136,9 +139,9 @@ def test_a_sweep_places_runs_on_the_cluster_and_a_lost_one_continues(folder: Pat
     lost = "its training process was lost (its worker process has died); restarted from its last checkpoint"
     assert shown.count(lost) == 1
     assert not any(child.is_running() for child in children)
-    [row] = _runs(folder).values()
-    assert row.status == "FINISHED"
-    assert _tables(row) == by_processes
+    ended = {row.algorithm: row for row in RunIndex(folder / "runs").rows()}
+    assert {name: row.status for name, row in ended.items()} == {"ippo": "FINISHED", "ia2c": "FINISHED"}
+    assert _tables(ended["ippo"]) == by_processes
     assert_gone(before)
 
 

@@ -10,7 +10,8 @@ from command_lines import Refused
 
 from headway.contracts import HeadwayError
 from headway_launch.commands.main import run
-from headway_launch.runner.cluster.ray_nodes import wait_for_nodes
+from headway_launch.runner.cluster import ray_nodes
+from headway_launch.runner.cluster.ray_nodes import wait_for_head, wait_for_nodes
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
 SWEEP = ("sweep", "env=visitors", "algo=ippo,ia2c", "study=a study", "seed=3,5..6")
@@ -18,8 +19,31 @@ SWEEP = ("sweep", "env=visitors", "algo=ippo,ia2c", "study=a study", "seed=3,5..
 
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 def test_missing_nodes_are_an_error_after_the_timeout() -> None:
-    with pytest.raises(HeadwayError, match=r"^after 0.1 s: .*127.0.0.1:1 \(Connection refused\)"):
+    refused = r"^after 0.1 s: .*127.0.0.1:1 \(Connection refused\)"
+    with pytest.raises(HeadwayError, match=refused):
         wait_for_nodes("127.0.0.1:1", 2, patience_s=0.1)
+    with pytest.raises(HeadwayError, match=refused):
+        wait_for_head("127.0.0.1:1", patience_s=0.1)
+
+
+@pytest.mark.parametrize(("words", "waited"), [([], ["head"]), (["3"], ["head", "nodes"] * 3)])
+def test_the_command_waits_for_the_head_or_for_nodes(
+    words: list[str], waited: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The cluster here answers at once and has one more node at each poll."""
+    steps: list[str] = []
+
+    def nodes_of(address: str) -> int:
+        steps.append("nodes")
+        return steps.count("nodes")
+
+    monkeypatch.setattr(ray_nodes, "require_ray", lambda: None)
+    monkeypatch.setattr(ray_nodes, "require_answer", lambda address: steps.append("head"))
+    monkeypatch.setattr(ray_nodes, "_nodes_of", nodes_of)
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    monkeypatch.setattr("sys.argv", ["ray_nodes", "host:1", *words])
+    ray_nodes.main()
+    assert steps == waited
 
 
 def test_without_ray_waiting_for_nodes_fails_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

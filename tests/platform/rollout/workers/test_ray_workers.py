@@ -219,7 +219,7 @@ def test_an_error_of_the_user_s_is_raised_without_a_replacement(tmp_path: Path) 
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_contributors_run_in_ray_workers_too() -> None:
-    rollout = plan_of_toy("visitors", copies=2, block=2)
+    rollout = plan_of_toy("visitors", copies=4, block=2)
     plan, published = AsynchronousPlan(rollout, Showing, None), parameters_of(rollout)
     shown: dict[str, list[Arrays]] = {}
     for name in ("serial", "ray"):
@@ -232,7 +232,7 @@ def test_contributors_run_in_ray_workers_too() -> None:
             shown[name] = [dict(each.arrays) for each in contributions if each is not None]
             evaluated = contributors.evaluate(7, 2, True, published)
             assert len(evaluated[0]) == 2
-    assert len(shown["ray"]) == 1
+    assert len(shown["ray"]) == 2
     for serial, actor in zip(shown["serial"], shown["ray"], strict=True):
         for name, array in serial.items():
             if not name.startswith("final"):  # valid in few rows
