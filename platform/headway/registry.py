@@ -115,8 +115,8 @@ def rule_entry(env: EnvEntry, name: str) -> RuleEntry:
         raise HeadwayError(f"unknown rule {name!r}; {suggestion(name, rule_names(env))}")
     if env.lookahead is None:
         raise HeadwayError(
-            f"rule {LOOKAHEAD} needs an environment that can be simulated ahead, with wrappers of rewards at "
-            "most; leave it out"
+            f"rule {LOOKAHEAD} needs an environment that can be simulated ahead, without wrappers "
+            "other than of rewards; leave it out"
         )
     form = f"{LOOKAHEAD}:RULE:STEPS:SAMPLES"
     _, base, *numbers = [*name.split(":"), *(env.lookahead,) * (":" not in name)]
@@ -125,9 +125,11 @@ def rule_entry(env: EnvEntry, name: str) -> RuleEntry:
             f"{name!r} must have the form {form}, with whole numbers of steps and samples from 1 on, such as "
             f"{LOOKAHEAD}:{env.lookahead}:{STEPS}:{SAMPLES}"
         )
-    if base not in env.rules:
-        raise HeadwayError(f"{name}: unknown rule {base!r}; {suggestion(base, env.rules)}")
-    own = env.rules[base]
+    # What `random` draws would differ between the actions that are compared.
+    bases = {rule: entry for rule, entry in env.rules.items() if entry is not RANDOM}
+    if base not in bases:
+        raise HeadwayError(f"{name}: {base!r} is not a rule to improve on; {suggestion(base, bases)}")
+    own = bases[base]
     steps, samples = [*map(int, numbers), *(STEPS, SAMPLES)[len(numbers) :]]
     return RuleEntry(
         f"reference for what could be gained, slow and not deployable: simulates {steps} steps of {base} "

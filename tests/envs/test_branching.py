@@ -14,7 +14,7 @@ from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.registry import ENTRIES
 
 Env = ArrayEnv[Any, Any]
-STEPS = {"bus": 300, "bus_published": 20, "merge": 10, "merge_two_lane": 10}
+STEPS = {"bus": 313, "bus_published": 20, "merge": 10, "merge_two_lane": 10}
 NAMES = [name for name, entry in ENTRIES.items() if entry.lookahead is not None]
 ROWS = np.array([2, 0, 0])
 
@@ -97,9 +97,23 @@ def test_everything_that_a_bus_day_draws_ahead_is_drawn_again() -> None:
     assert (driven == (now.slots["trip_factor"] == then.slots["trip_factor"])).all()
     assert driven.any()
     assert not driven.all()
-    edge = int((then.days["now"][0] - 5 * 3600.0) // 900.0)
-    assert (now.congestion[:, edge] == then.congestion[:, edge]).all()
-    assert (now.congestion[:, edge + 1 :] != then.congestion[:, edge + 1 :]).all()
+    assert (now.congestion != then.congestion).all()
+
+
+def test_the_present_level_of_congestion_is_kept_and_no_quarter_hour_around_it() -> None:
+    """Between the quarter hours from 5:00 on, at which it is drawn, the level is linear."""
+    env, _ = some_way("bus")
+    assert isinstance(env, BusBatchedEnv)
+    times, curves = env.world.days["now"], env.world.congestion
+    knots = 5 * 3600.0 + 900.0 * np.arange(curves.shape[1])
+    level = [np.interp(time, knots, curve) for time, curve in zip(times, curves, strict=True)]
+    nearest = np.abs(times[:, None] - knots).argmin(axis=1)
+    assert (np.abs(times - knots[nearest]) > 90.0).all()
+    for seed in (50, 90):
+        redrawn = branch(env, np.arange(3), seed).world.congestion
+        kept = [np.interp(time, knots, curve) for time, curve in zip(times, redrawn, strict=True)]
+        assert kept == pytest.approx(level, rel=1e-8)
+        assert (np.abs(redrawn / curves - 1.0)[np.arange(3), nearest] > 1e-6).all()
 
 
 def test_a_bus_has_another_future_with_another_seed() -> None:

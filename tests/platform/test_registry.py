@@ -52,8 +52,13 @@ def test_lookahead_is_a_rule_but_none_that_is_played_by_default() -> None:
     ("env", "name", "line"),
     [
         ("bus", "lookahed", "unknown rule 'lookahed'; did you mean lookahead?"),
-        ("bus", "lookahead:even", "lookahead:even: unknown rule 'even'; did you mean even_headway?"),
-        ("bus", "lookahead:lookahead", "lookahead:lookahead: unknown rule 'lookahead'"),
+        (
+            "bus",
+            "lookahead:even",
+            "lookahead:even: 'even' is not a rule to improve on; did you mean even_headway?",
+        ),
+        ("bus", "lookahead:lookahead", "lookahead:lookahead: 'lookahead' is not a rule to improve on"),
+        ("bus", "lookahead:random:9", "lookahead:random:9: 'random' is not a rule to improve on; available"),
         (
             "bus",
             "lookahead:even_headway:0",
@@ -65,7 +70,7 @@ def test_lookahead_is_a_rule_but_none_that_is_played_by_default() -> None:
         (
             "tracking",
             "lookahead",
-            "needs an environment that can be simulated ahead, with wrappers of rewards at most; leave",
+            "needs an environment that can be simulated ahead, without wrappers other than of rewards; leave",
         ),
     ],
 )

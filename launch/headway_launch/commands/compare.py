@@ -161,7 +161,7 @@ def execute(arguments: argparse.Namespace) -> int:
         if line := start_line(label, Path(arguments.store), folders, return_metric):
             print_line(line)
     returns = {label: fmean(_mean(of_seed, "return") for of_seed in played[label]) for label in played}
-    for line in gap_lines(returns, {rule: _mean(rows, "return") for rule, rows in rules.items()}):
+    for line in gap_lines(returns, {rule: _values(rows, "return") for rule, rows in rules.items()}):
         print_line(line)
     fewest = min(map(len, cells.values()), default=SEEDS_FOR_A_CLAIM)
     if fewest < SEEDS_FOR_A_CLAIM:

@@ -276,11 +276,25 @@ class StudyData:
         return self.paired(task, self.by_seed(task, controller, self.column), best)
 
     def gap_lines(self, task: str) -> list[str]:
-        """Return `comparison.gap_lines` of a task, over the episodes of the last evaluation."""
-        rules = {rule: float(self.by_episode(task, rule).mean()) for rule in self.ranked_rules(task)}
-        learned = {name: self.by_seed(task, name, self.column) for name in self.on(task)}
-        means = {name: float(found.to_numpy().mean()) for name, found in learned.items() if found.size}
-        return gap_lines(means, rules, self.sign)
+        """Return `comparison.gap_lines` of a task, over the episodes of the last evaluation that the best
+        rule, `lookahead` and all learners have in common; of controllers whose difference from the best rule
+        is known."""
+        ranked = self.ranked_rules(task)
+        known = [rule for rule in filter(is_lookahead, ranked) if self.rule_against_best(task, rule).interval]
+        if not known:
+            return []
+        rules = {rule: self.by_episode(task, rule) for rule in (ranked[0], *known)}
+        learned = {
+            name: self.by_seed(task, name, self.column).mean(skipna=False)
+            for name in self.on(task)
+            if self.against_best_rule(task, name).interval
+        }
+        common = pd.concat([*rules.values(), *learned.values()], axis="columns").dropna().index
+        if len(common) < 2:
+            return []
+        means = {name: float(values.loc[common].mean()) for name, values in learned.items()}
+        played = {rule: values.loc[common].tolist() for rule, values in rules.items()}
+        return gap_lines(means, played, self.sign)
 
     def rule_against_best(self, task: str, rule: str) -> DifferenceFromBest:
         """Return the paired difference of the metric, rule minus best rule; None for the best rule itself."""

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
@@ -107,10 +108,10 @@ def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping
         _print_by_column(columns, table, methods)
     else:
         print_table(columns, table)
-    means_of = {name: mean for name, rows in controllers if (mean := _mean(rows, "return")) is not None}
-    of_rules = {rule: means_of[f"rule {rule}"] for rule in rules if f"rule {rule}" in means_of}
-    for line in gap_lines({name: means_of[label]} if learned else {}, of_rules):
-        print_line(line)
+    if len({tuple(_episode_seeds(rows)) for rows in (*learned, *rules.values())}) == 1:
+        of_learner = {name: fmean(fmean(_returns(rows)) for rows in learned)} if learned else {}
+        for line in gap_lines(of_learner, {rule: _returns(rows) for rule, rows in rules.items()}):
+            print_line(line)
     if learned and rules and len(learned) < SEEDS_FOR_A_CLAIM:
         print_line(few_seeds(len(learned)))
 
@@ -128,26 +129,39 @@ def difference(learned: Sequence[Sequence[float]], rule: Sequence[float]) -> "In
     return paired_difference_over_seeds(learned, [rule] * len(learned))
 
 
-def gap_lines(learned: Mapping[str, float], rules: Mapping[str, float], sign: int = 1) -> list[str]:
+def gap_lines(learned: Mapping[str, float], rules: Mapping[str, Sequence[float]], sign: int = 1) -> list[str]:
     """Return a sentence for each `lookahead` among the rules: which share of its gap to the best other rule
-    the learners close.
+    the learners close, if the paired 95% interval of the gap over episodes is above 0.
 
-    Values are means over the same episodes, by name; `sign` is -1 if lower is better.
+    `learned`: mean of each learner; `rules`: values of each rule, of the same episodes in the same order.
+    `sign` is -1 if lower is better.
     """
     others = [rule for rule in rules if not is_lookahead(rule)]
     if not others:
         return []
-    best = max(others, key=lambda rule: sign * rules[rule])
-    lines = []
-    for reference in filter(is_lookahead, rules):
-        gap = rules[reference] - rules[best]
-        if sign * gap <= 0:
-            lines.append(f"{reference} is not better than the best rule, {best}: it shows no gap to close")
-            continue
-        shares = [f"{name} closes {(value - rules[best]) / gap:.0%}" for name, value in learned.items()]
-        between = f"from the best rule, {best}, to {reference}, a reference that simulates the environment"
-        lines.append(f"gap {between}: {abs(gap):.4g}{'; of it ' if shares else ''}{', '.join(shares)}")
-    return lines
+    best = max(others, key=lambda rule: sign * fmean(rules[rule]))
+    means = {name: sign * (value - fmean(rules[best])) for name, value in learned.items()}
+    gained = {
+        reference: [sign * (value - of_best) for value, of_best in zip(values, rules[best], strict=True)]
+        for reference, values in rules.items()
+        if is_lookahead(reference)
+    }
+    return [_gap_line(best, reference, values, means) for reference, values in gained.items()]
+
+
+def _gap_line(best: str, reference: str, gains: Sequence[float], learned: Mapping[str, float]) -> str:
+    """Return the sentence on one `lookahead`; `gains` (episodes) and `learned` are over the rule `best`."""
+    between = f"gap from {best}, the best of the rules played, to {reference}"
+    if len(gains) < 2:
+        return f"{between}: not distinguishable from 0 over fewer than two episodes"
+    gap = difference([gains], [0.0] * len(gains))
+    interval = f"95% interval {gap.low:.4g} to {gap.high:.4g}"
+    if gap.low <= 0:
+        finding = "not distinguishable from 0" if gap.high >= 0 else f"none, {reference} is worse"
+        return f"{between}: {finding} ({interval})"
+    shares = ", ".join(f"{name} closes {value / gap.estimate:.0%}" for name, value in learned.items())
+    note = "a reference that simulates the environment"
+    return f"{between}, {note}: {gap.estimate:.4g} ({interval}){'; of it ' if shares else ''}{shares}"
 
 
 def few_seeds(seeds: int) -> str:
@@ -189,12 +203,16 @@ def _print_by_column(
 
 def _return_difference(learned: Sequence[Sequence[Row]], rule: Sequence[Row]) -> "Interval | None":
     """Return the difference of the returns; None if the episodes do not pair by seed."""
-    seeds = [int(row["episode_seed"]) for row in rule]
+    seeds = _episode_seeds(rule)
     if len(seeds) < 2 or not learned:
         return None
-    if any([int(row["episode_seed"]) for row in rows] != seeds for rows in learned):
+    if any(_episode_seeds(rows) != seeds for rows in learned):
         return None
     return difference([_returns(rows) for rows in learned], _returns(rule))
+
+
+def _episode_seeds(rows: Sequence[Row]) -> list[int]:
+    return [int(row["episode_seed"]) for row in rows]
 
 
 def _returns(rows: Sequence[Row]) -> list[float]:

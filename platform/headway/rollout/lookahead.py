@@ -19,7 +19,7 @@ from headway.contracts import (
 LOOKAHEAD = "lookahead"
 STEPS, SAMPLES = 30, 8
 """Default horizon, in environment steps, and number of simulated futures."""
-_LOTS = (16, 8, 4, 2, 1)
+_BATCH_SIZES = (16, 8, 4, 2, 1)
 """Numbers of joint actions simulated in one batch."""
 _MARGIN = 2.0
 """Standard errors by which an action must do better than the one it replaces: chance differences of many
@@ -50,7 +50,8 @@ class Lookahead:
     def __init__(
         self, make: Callable[[Any, int], BatchedEnv], prepared: object, base: Rule, steps: int, samples: int
     ) -> None:
-        """`make` is that of the environment's entry; its batches are `BranchingEnv`s."""
+        """`make` is that of the environment's entry; its batches are `BranchingEnv`s. `base` must not draw:
+        futures would then differ between joint actions."""
         self._make, self._prepared, self._base = make, prepared, base
         self._steps, self._samples = steps, samples
         self._batches: dict[int, BranchingEnv] = {}
@@ -98,13 +99,13 @@ class Lookahead:
         returns, acting = np.zeros((len(rows), self._samples)), np.zeros(actions.shape, np.bool_)
         begin = 0
         while begin < len(rows):
-            size = next(size for size in _LOTS if begin + size <= len(rows))
-            lot = slice(begin, begin + size)
-            returns[lot], acting[lot] = self._simulate_lot(env, rows[lot], actions[lot], futures)
+            size = next(size for size in _BATCH_SIZES if begin + size <= len(rows))
+            part = slice(begin, begin + size)
+            returns[part], acting[part] = self._simulate_batch(env, rows[part], actions[part], futures)
             begin += size
         return returns, acting
 
-    def _simulate_lot(
+    def _simulate_batch(
         self,
         env: BatchedEnv,
         rows: NDArray[np.int64],

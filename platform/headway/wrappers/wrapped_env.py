@@ -99,7 +99,8 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
 
     The environment's own rules inspect the environment and its unwrapped observations while playing the
     wrapped one. Behind a wrapper that changes the meaning of actions only `random` remains, which plays the
-    wrapped environment. `lookahead` plays only without any.
+    wrapped environment. `lookahead` plays only without wrappers other than of rewards, which
+    are not among `wrappers` when rules play.
     """
     rules, variant, renderer = entry.rules, entry.prepare_variant, entry.renderer
     if any(wrapper.entry.changes_actions for wrapper in wrappers):

@@ -95,4 +95,4 @@ def test_lookahead_is_played_where_it_is_named_and_is_no_reference(
     assert header[4] == "minus always_wait"
     assert [row[1] for row in rows] == ["rule always_wait", "rule lookahead:always_wait:2:1"]
     assert float(rows[1][4]) > 0
-    assert "gap from the best rule, always_wait, to lookahead:always_wait:2:1, a reference" in shown.err
+    assert "gap from always_wait, the best of the rules played, to lookahead:always_wait:2:1" in shown.err

@@ -48,24 +48,46 @@ def test_episodes_that_do_not_pair_give_no_interval(capsys: pytest.CaptureFixtur
 
 
 def test_lookahead_is_a_reference_and_not_the_best_rule() -> None:
-    """Of the gap of 40 from 300 to 340, 310 closes a quarter and 290 loses as much."""
-    rules = {"hold": 300.0, "move": 200.0, "lookahead": 340.0}
+    """Of the gap of 40 from 300 to 340, 310 closes a quarter and 290 loses as much. Student's t is 12.706
+    for two episodes: gains of 39 and 41 have an interval of 40 +- 12.706."""
+    rules = {"hold": [200.0, 400.0], "move": [200.0, 200.0], "lookahead": [239.0, 441.0]}
     [line] = gap_lines({"ippo": 310.0, "ia2c": 290.0}, rules)
-    assert line.startswith("gap from the best rule, hold, to lookahead, a reference")
-    assert line.endswith(": 40; of it ippo closes 25%, ia2c closes -25%")
+    assert line.startswith("gap from hold, the best of the rules played, to lookahead, a reference that sim")
+    assert line.endswith(": 40 (95% interval 27.29 to 52.71); of it ippo closes 25%, ia2c closes -25%")
     [line] = gap_lines({}, rules)
-    assert line.endswith(": 40")
-    [line] = gap_lines({"ippo": 4.0}, {"hold": 5.0, "lookahead:hold:9": 3.0}, sign=-1)
-    assert line.endswith(": 2; of it ippo closes 50%")
+    assert line.endswith(": 40 (95% interval 27.29 to 52.71)")
+    [line] = gap_lines({"ippo": 4.0}, {"hold": [5.0, 5.0], "lookahead:hold:9": [3.0, 3.0]}, sign=-1)
+    assert line.endswith(": 2 (95% interval 2 to 2); of it ippo closes 50%")
 
 
-def test_a_lookahead_that_gains_nothing_shows_no_gap() -> None:
-    [line] = gap_lines({"ippo": 310.0}, {"hold": 300.0, "lookahead": 299.0})
-    assert line == "lookahead is not better than the best rule, hold: it shows no gap to close"
-    assert gap_lines({"ippo": 310.0}, {"hold": 300.0}) == gap_lines({}, {"lookahead": 3.0}) == []
+@pytest.mark.parametrize(
+    ("gains", "finding"),
+    [
+        # Student's t is 12.706 for two episodes, 4.303 for three; standard errors are 3, 3 and 1.
+        ([3.1, -2.9], "not distinguishable from 0 (95% interval -38.02 to 38.22)"),
+        ([13.0, 7.0], "not distinguishable from 0 (95% interval -28.12 to 48.12)"),
+        ([-8.0, -10.0, -6.0], "none, lookahead is worse (95% interval -12.97 to -3.032)"),
+        ([5.0], "not distinguishable from 0 over fewer than two episodes"),
+    ],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_gap_that_may_be_chance_has_no_shares(gains: list[float], finding: str, sign: int) -> None:
+    hold = [float(300 + episode) for episode in range(len(gains))]
+    rules = {
+        "hold": hold,
+        "lookahead": [value + sign * gain for value, gain in zip(hold, gains, strict=True)],
+    }
+    [line] = gap_lines({"ippo": 310.0}, rules, sign)
+    assert line == f"gap from hold, the best of the rules played, to lookahead: {finding}"
 
 
-def test_the_share_of_the_gap_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_lookahead_or_another_rule_there_is_no_gap() -> None:
+    assert gap_lines({"ippo": 310.0}, {"hold": [300.0]}) == gap_lines({}, {"lookahead": [3.0]}) == []
+
+
+def test_the_share_of_the_gap_is_printed_if_episodes_pair(capsys: pytest.CaptureFixture[str]) -> None:
     rules = {"hold": episodes(1.0, 3.0), "lookahead": episodes(5.0, 7.0)}
     print_comparison("ippo", [episodes(3.0, 3.0), episodes(3.0, 3.0)], rules)
-    assert ": 4; of it ippo closes 25%" in capsys.readouterr().err
+    assert ": 4 (95% interval 4 to 4); of it ippo closes 25%" in capsys.readouterr().err
+    print_comparison("ippo", [episodes(3.0, 3.0, 3.0), episodes(3.0, 3.0)], rules)
+    assert "gap" not in capsys.readouterr().err

@@ -203,7 +203,7 @@ def test_no_choice_is_no_simulation() -> None:
 
 
 def test_many_copies_are_played_as_one_is() -> None:
-    """The copies of a batch are simulated in lots; a choice in one does not depend on the others."""
+    """The copies are simulated in several batches; a choice in one does not depend on the others."""
     env, alone = Lamps(None, 21), Lamps(None, 1)
     many = Lookahead(Lamps, None, Idle(), 4, 2).act(env, env.reset(np.arange(21, dtype=np.uint64)))
     one = Lookahead(Lamps, None, Idle(), 4, 2).act(alone, alone.reset(np.zeros(1, np.uint64)))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled, compiled_allocating
-from headway_envs.bus.kernel.curves import bin_of, interpolate
+from headway_envs.bus.kernel.curves import interpolate
 from headway_envs.bus.kernel.day import draw_congestion
 from headway_envs.bus.kernel.draws import (
     HAZARD_LEFT,
@@ -17,6 +17,7 @@ from headway_envs.bus.kernel.draws import (
     unit_lognormal,
 )
 from headway_envs.bus.kernel.layout import Network, Record, World
+from headway_envs.bus.kernel.motion import congestion_factor
 from headway_envs.bus.kernel.passengers import draw_next_arrival, update_queue
 from headway_envs.bus.kernel.upkeep import upkeep_potential
 from headway_envs.keyed_random import episode_key
@@ -57,12 +58,11 @@ def _redraw_copy(net: Network, k: Record, world: World, c: int, seed: np.uint64)
             slot.trip_factor = unit_lognormal(normal(day.key, TRIP, slot.trip, 0), k.trip_sd)
         # The source may not use the potential, and then does not keep it up to date.
         slot.upkeep_ahead = upkeep_potential(net, k, world, c, n)
-    now = bin_of(day.now, k.start_s, world.congestion.shape[1] - 1)
-    level = world.congestion[c, now]
+    # Rounded, so that a second redraw finds the same level to the last bit.
+    level = round(congestion_factor(k, world, c, day.now), 9)
     draw_congestion(k, world, c)
-    change = level / world.congestion[c, now]
-    world.congestion[c, now] = level
-    for edge in range(now + 1, world.congestion.shape[1]):
+    change = level / congestion_factor(k, world, c, day.now)
+    for edge in range(world.congestion.shape[1]):
         world.congestion[c, edge] *= change
 
 
