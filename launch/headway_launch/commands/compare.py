@@ -103,7 +103,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.seed < 0:
         raise HeadwayError(f"--seed {arguments.seed}: must not be negative")
     subject = _subject(arguments)
-    experiment, cells = subject.experiment, subject.cells
+    which = ", best policies" if arguments.best else ""
+    experiment, cells = subject.experiment, {f"{label}{which}": runs for label, runs in subject.cells.items()}
     found = experiment.prepare()
     names = rules_to_play(found, arguments.rules)
     if not names:
@@ -152,8 +153,7 @@ def execute(arguments: argparse.Namespace) -> int:
         "95% high",
         "interval",
     )
-    which = ", best policies" if arguments.best else ""
-    mode = f", {arguments.mode}{which}" if cells else ""
+    mode = f", {arguments.mode}" if cells else ""
     print_table(columns, rows, title=f"{subject.name}: {episodes} episodes of {found.spec.name}{mode}")
     for label, members in cells.items():
         folders = [run.directory for run in members]

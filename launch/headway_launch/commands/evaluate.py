@@ -89,6 +89,11 @@ def execute(arguments: argparse.Namespace) -> int:
     name = f"{experiment.algo_name} {arguments.mode}"
     if arguments.best:
         name = f"{name}, best policy (iteration {policy.iteration})"
+        if arguments.seed is None:
+            print_line(
+                f"headway: other episodes than the {evaluation.episodes} that chose this policy; the newest "
+                f"policy on the same ones: --seed {root} without --best"
+            )
     with CountedProgress("episodes played", (1 + len(rules)) * episodes) as progress:
         greedy, count = arguments.mode == "greedy", counting(progress, name)
         learned = policy_episodes(policy, root, episodes, greedy, count)

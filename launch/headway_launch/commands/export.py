@@ -38,7 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the run, the format and the output."""
     parser.add_argument("run", metavar="RUN", help="name of the run, as in `headway runs`")
     parser.add_argument("--format", default="npz", help="npz, onnx or torchscript (default: npz)")
-    parser.add_argument("--output", help="file to write (default: RUN.npz, RUN.onnx or RUN.pt)")
+    parser.add_argument(
+        "--output", help="file to write (default: RUN.npz, RUN.onnx or RUN.pt; with --best RUN-best.npz, ...)"
+    )
     add_best_argument(parser)
     add_store_argument(parser)
 
@@ -55,7 +57,8 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(f"--format: unknown {arguments.format!r}; {suggestion(arguments.format, FORMATS)}")
     suffix = FORMATS[arguments.format].suffix
     run = StoredRun.find(existing_store(arguments.store), arguments.run)
-    output = Path(arguments.output or f"{run.directory.name}{suffix}")
+    which = "-best" if arguments.best else ""
+    output = Path(arguments.output or f"{run.directory.name}{which}{suffix}")
     if output.suffix != suffix:
         raise HeadwayError(
             f"--output: {output} must end in {suffix}, the suffix of --format {arguments.format}"
@@ -76,7 +79,11 @@ def execute(arguments: argparse.Namespace) -> int:
         rows = _compared(content, suffix, trained, None)
     write_durably(output, lambda stream: stream.write(content))
     origin = "of the training environment" if environment is not None else f"drawn at random ({reason})"
-    print_line(f"equal to the rollout worker's policy on {rows:,} observations {origin}")
+    kind = "best" if arguments.best else "newest"
+    print_line(
+        f"{kind} policy, of iteration {description.origin['iteration']}; equal to the rollout worker's on "
+        f"{rows:,} observations {origin}"
+    )
     print(output)
     return 0
 

@@ -99,15 +99,18 @@ def main() -> None:
     """Entry point of the `headway` script: run the command line and exit with its code."""
     if "_ARGCOMPLETE" in os.environ:  # set by the function that completes words in a shell
         _complete(os.environ["COMP_LINE"].split())
-    sys.exit(run(sys.argv[1:]))
+    sys.exit(run(sys.argv[1:], typed=True))
 
 
-def run(arguments: Sequence[str]) -> int:
-    """Run one command line; return the exit code: 0 done, 2 error (one line on stderr), 130 interrupted."""
+def run(arguments: Sequence[str], typed: bool = False) -> int:
+    """Run one command line; return the exit code: 0 done, 2 error (one line on stderr), 130 interrupted.
+
+    `typed`: it was given by a user, who is told of keys that a later word replaces.
+    """
     words = [word for word in arguments if word != "--debug"]
     debug = len(words) < len(arguments)
     try:
-        code = _dispatch(words, debug)
+        code = _dispatch(words, debug, typed)
         sys.stdout.flush()  # a closed pipe or full disk raises here, inside the try block
         return code
     except (HeadwayError, EnvironmentRaisedError) as error:
@@ -179,7 +182,7 @@ def _only_prints(words: Sequence[str]) -> bool:
     return command is None or command.only_prints or not {"-h", "--help", "--dry-run"}.isdisjoint(words)
 
 
-def _dispatch(words: Sequence[str], debug: bool) -> int:
+def _dispatch(words: Sequence[str], debug: bool, typed: bool) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
         parser = _group_parser("headway", _ABOUT, COMMANDS, _EXAMPLES)
         parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
@@ -221,10 +224,11 @@ def _dispatch(words: Sequence[str], debug: bool) -> int:
         parsed = parser.parse_intermixed_args(rest)
     except SystemExit as done:  # --help
         return int(done.code or 0)
-    if overrides := getattr(parsed, "overrides", ()):
-        from headway_launch.experiments.override_words import require_each_key_once
+    if typed and (overrides := getattr(parsed, "overrides", ())):
+        from headway_launch.experiments.override_words import replaced_words
 
-        require_each_key_once(overrides)
+        for first, last in replaced_words(overrides):
+            print_line(f"headway: {last} replaces {first}")
     parsed.command, parsed.debug = name, debug
     code: int
     if (folder := getattr(parsed, "config_dir", None)) is None:

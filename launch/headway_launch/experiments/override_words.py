@@ -11,13 +11,23 @@ _WORD = re.compile(r"[A-Za-z_][\w.]*", re.ASCII)
 _BEFORE_QUOTE = re.compile(r'(\\*)("|$)')
 
 
-def require_each_key_once(words: Sequence[str]) -> None:
-    """Raise HeadwayError if a key has two values: Hydra would silently take the last."""
+def replaced_words(words: Sequence[str]) -> list[tuple[str, str]]:
+    """Return each word KEY=VALUE that a later one with another value replaces, with that one."""
     given: dict[str, str] = {}
+    replaced = []
     for word in words:
         key, equals, _ = word.partition("=")
-        if equals and (first := given.setdefault(key.strip("+ "), word)) != word:
-            raise HeadwayError(f"{first} and {word} set the same key; omit one of them")
+        key = key.strip("+ ")
+        if equals and given.get(key, word) != word:
+            replaced.append((given[key], word))
+        given[key] = word
+    return replaced
+
+
+def require_each_key_once(words: Sequence[str]) -> None:
+    """Raise HeadwayError if a key has two values."""
+    for first, last in replaced_words(words):
+        raise HeadwayError(f"{first} and {last} set the same key; omit one of them")
 
 
 def override_words(keys: Mapping[str, object], sweep: bool = False) -> list[str]:

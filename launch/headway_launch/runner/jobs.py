@@ -142,17 +142,17 @@ def new_jobs(
     else:
         config = _one_worker_per_block(requested, environment.spec, experiment.algo_name)
         _print_workers(config.rollout, experiment.algo_name)
+    stack, spec = config.backend.stack, environment.spec.for_policies
+    jobs = [
+        PlannedJob.of(experiment, config, environment, spec, tuple(seeds[first : first + stack]))
+        for first in range(0, len(seeds), stack)
+    ]
     if config.start.rule is not None:
         steps = config.rule_iterations * rollout.copies * rollout.steps
         print_line(
             f"headway: rule {config.start.rule} acts in the first {steps:,} steps of each run, and policies "
             "learn to imitate it"
         )
-    stack, spec = config.backend.stack, environment.spec.for_policies
-    jobs = [
-        PlannedJob.of(experiment, config, environment, spec, tuple(seeds[first : first + stack]))
-        for first in range(0, len(seeds), stack)
-    ]
     parent = parent_run(experiment, jobs[0].training.plan.policy)
     return tuple(job.with_parent(parent) for job in jobs)
 

@@ -304,8 +304,9 @@ class ExperimentConfig:
         require_key(
             self.rule_iterations < self.iterations,
             "start.env_steps",
-            f"of {self.start.env_steps} leaves nothing of env_steps={self.env_steps} to learn in; lower it, "
-            "or raise env_steps",
+            f"of {self.start.env_steps} leaves nothing of env_steps={self.env_steps} to learn in: both are "
+            f"rounded up to iterations of {self.rollout.copies * self.rollout.steps} steps (rollout.copies x "
+            "rollout.steps); lower it, or raise env_steps",
         )
 
     @property

@@ -35,11 +35,6 @@ from headway_launch.experiments.compose import compose
         (["list", "observaitons"], ["did you mean headway list observations?"]),
         (["list"], ["KIND", "headway list --help"]),
         (["run", "--fast"], ["--fast", "headway run --help"]),
-        (
-            ["run", "seed=0", "env=trivial", "seed=1"],
-            ["seed=0 and seed=1 set the same key; omit one of them"],
-        ),
-        (["sweep", "algo.lr=1,2", "++algo.lr=3"], ["algo.lr=1,2 and ++algo.lr=3 set the same key"]),
         (["run", "env=trivial", "--store", "here"], ["headway run takes store.root=FOLDER"]),
         (["list", "envs", "--store", "here"], ["--store here; see headway list --help"]),
         (["data", "plot", "here", "store.root=x"], ["store.root=x; see headway data plot --help"]),
@@ -165,7 +160,7 @@ def test_a_command_whose_reader_has_gone_ends_quietly() -> None:
 def test_only_what_trains_fails_if_its_reader_has_gone(
     words: str, code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def nobody_reads(words: list[str], debug: bool) -> NoReturn:
+    def nobody_reads(words: list[str], debug: bool, typed: bool) -> NoReturn:
         raise BrokenPipeError
 
     monkeypatch.setattr(main, "_dispatch", nobody_reads)
@@ -177,7 +172,7 @@ def test_only_what_trains_fails_if_its_reader_has_gone(
 def test_an_environment_that_ends_the_program_is_an_error(
     given: int | str | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def leave(words: list[str], debug: bool) -> NoReturn:
+    def leave(words: list[str], debug: bool, typed: bool) -> NoReturn:
         sys.exit(given)
 
     monkeypatch.setattr(main, "_dispatch", leave)
@@ -269,3 +264,13 @@ def test_an_environment_without_listed_arguments_says_why(
     file.write_text(f"def parallel_env({parameters}):\n    raise NotImplementedError\n")
     assert run(["list", "envs", str(file)]) == 0
     assert capsys.readouterr().err == f"{file} {says}\n"
+
+
+def test_a_word_that_replaces_another_is_named_where_a_user_typed_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["run", "env=trivail", "seed=0", "algo.lr=1", "seed=0", "++algo.lr=3"]
+    assert run(words, typed=True) == 2
+    assert "headway: ++algo.lr=3 replaces algo.lr=1\n" in (typed := capsys.readouterr().err)
+    assert run(words) == 2
+    assert capsys.readouterr().err == typed.replace("headway: ++algo.lr=3 replaces algo.lr=1\n", "")

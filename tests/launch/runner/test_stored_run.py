@@ -117,8 +117,12 @@ def test_the_best_policy_is_played_and_exported_in_the_place_of_the_newest(
     assert evaluated[1][0].endswith("greedy, best policy (iteration 2)")
     assert float(evaluated[1][evaluated[0].index("return")]) == pytest.approx(mean, rel=1e-4)
     compared = rows_of("compare", stored.record.study, "--best", "--episodes", "3", "--rules", "random")
+    assert compared[2][1].endswith(", best policies")
     assert float(compared[2][compared[0].index("mean")]) == pytest.approx(mean, rel=1e-4)
-    assert run(["export", name, "--best", "--output", "best.npz"]) == 0
+    capsys.readouterr()
+    assert run(["export", name, "--best"]) == 0
+    assert "best policy, of iteration 2" in capsys.readouterr().err
+    Path(f"{name}-best.npz").rename("best.npz")
     by_file, by_folder = load_policy("best.npz"), load_policy(stored.directory, best=True)
     assert by_file.origin["iteration"] == by_folder.origin["iteration"] == 2
     assert load_policy(stored.directory).origin["iteration"] == newest
