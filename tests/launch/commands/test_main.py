@@ -207,7 +207,11 @@ def test_what_every_rule_does_is_listed(rows_of: RowsOf) -> None:
     header, *rows = rows_of("list", "rules")
     assert header == ["environment", "rule", "description"]
     listed = [(name, rule) for name, rule, _ in rows]
-    registered = [(name, rule) for name, entry in env_entries().items() for rule in entry.rules]
+    registered = [
+        (name, rule)
+        for name, entry in env_entries().items()
+        for rule in (*entry.rules, *(["lookahead"] if entry.lookahead else []))
+    ]
     assert listed[: len(registered)] == registered
     assert ("intersection_paper", "reservation") in listed[len(registered) :]
     assert all(len(what.split()) > 1 and len(what) <= 110 for _, _, what in rows)
