@@ -132,8 +132,7 @@ def rule_entry(env: EnvEntry, name: str) -> RuleEntry:
     own = bases[base]
     steps, samples = [*map(int, numbers), *(STEPS, SAMPLES)[len(numbers) :]]
     return RuleEntry(
-        f"reference for what could be gained, slow and not deployable: simulates {steps} steps of {base} "
-        f"after every action, in {samples} futures (rollout, Bertsekas 2019); others: {form}",
+        f"reference of what can be gained: tries actions in {samples} simulations of {steps} steps of {base}",
         lambda prepared: Lookahead(env.make, env.simulated(prepared), own.make(prepared), steps, samples),
     )
 

@@ -43,9 +43,7 @@ def test_lookahead_is_a_rule_but_none_that_is_played_by_default() -> None:
     assert "lookahead" not in rule_names(tracking)
     assert rule_entry(bus, "even_headway") is bus.rules["even_headway"]
     assert rule_entry(bus, "lookahead").summary == rule_entry(bus, "lookahead:even_headway:30:8").summary
-    assert "simulates 5 steps of always_move after every action, in 8" in (
-        rule_entry(bus, "lookahead:always_move:5").summary
-    )
+    assert "in 8 simulations of 5 steps of always_move" in rule_entry(bus, "lookahead:always_move:5").summary
 
 
 @pytest.mark.parametrize(
