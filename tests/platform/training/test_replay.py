@@ -116,7 +116,7 @@ def test_a_broken_buffer_falls_back_one_checkpoint(whole: dict[str, Log], tmp_pa
     else:
         newest.unlink()
     events = trained(replace(job, resume=True))
-    assert "its replay buffer experience-000004.pt is " in _notices(events)[0]
+    assert "its replay data experience-000004.pt are " in _notices(events)[0]
     started = [event for event in events if isinstance(event, Started)]
     assert started[0].iteration == 2
     assert logs_of(job) == [whole["madqn"]]
@@ -127,6 +127,6 @@ def test_a_run_whose_replay_buffer_is_missing_prints_one_line(tmp_path: Path) ->
     trained(job, stop_after=4)
     for path in (tmp_path / "5" / "checkpoints").glob("experience-*.pt"):
         path.unlink()
-    with pytest.raises(HeadwayError, match=r"start the run anew .*its replay buffer .* is missing") as caught:
+    with pytest.raises(HeadwayError, match=r"start the run anew .*its replay data .* are missing") as caught:
         trained(replace(job, resume=True))
     assert "\n" not in str(caught.value)
