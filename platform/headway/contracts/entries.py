@@ -113,8 +113,8 @@ class EnvEntry:
     rules: Mapping[str, RuleEntry] = field(default_factory=dict)
     """Rules by name. The rule `random` is added unless one is registered under this name."""
     lookahead: str | None = None
-    """Rule that the rule `lookahead` improves on by default; None: batches are no `BranchingEnv`s, and
-    there is no such rule."""
+    """Rule that the rule `lookahead` improves on by default. None: there is no such rule, since batches are
+    not of the kind `BranchingEnv`."""
     simulated: Callable[[Any], Any] = _identity
     """(prepared) -> what `lookahead` simulates: the same environment, possibly with rewards that charge at
     once what an action will cost beyond the horizon."""
