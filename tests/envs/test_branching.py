@@ -75,7 +75,7 @@ def test_nothing_of_the_future_of_the_source_is_left(name: str) -> None:
 
 
 def test_everything_that_a_bus_day_draws_ahead_is_drawn_again() -> None:
-    """Of the purposes of `draws`: ARRIVAL, DEMAND_HOUR, PATIENCE, TRIP, BREAKDOWN, EVENING and NETWORK are
+    """Among the purposes of `draws`, ARRIVAL, DEMAND_HOUR, PATIENCE, TRIP, BREAKDOWN, EVENING and NETWORK are
     drawn before they show; all others when an event needs them, from the day's key."""
     env, _ = some_way("bus")
     assert isinstance(env, BusBatchedEnv)

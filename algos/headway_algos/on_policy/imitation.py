@@ -56,7 +56,7 @@ def imitate_sequences(
     generators: Sequence[np.random.Generator],
     share: float,
 ) -> dict[str, Tensor]:
-    """As `imitate`, for recurrent policies: learn from one iteration's rows, as sequences.
+    """Raise the likelihood of recurrent policies' actions in one iteration's rows, taken as sequences.
 
     Adam starts anew with every call, so that nothing is carried from one call to the next but the networks.
     `share`, of the learning rate, should fall from call to call: an iteration may show one part of an episode

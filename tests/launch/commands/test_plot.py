@@ -184,7 +184,7 @@ def test_a_cell_that_diverged_does_not_flatten_the_others() -> None:
 
 
 def test_wide_intervals_do_not_flatten_the_curves() -> None:
-    """Of few seeds they may be hundreds of times as wide as what is between the curves."""
+    """With few seeds the bands may be hundreds of times as wide as the curves' range."""
     wide = _curves(ippo=[0.0, 9.0], mappo=[0.0, 10.0]).assign(low=-900.0, high=900.0, runs=3)
     styles = colours(["ippo", "mappo"])
     [axes] = learning_curves(wide, {}, "", styles).axes

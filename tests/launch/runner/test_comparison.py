@@ -48,7 +48,7 @@ def test_episodes_that_do_not_pair_give_no_interval(capsys: pytest.CaptureFixtur
 
 
 def test_lookahead_is_a_reference_and_not_the_best_rule() -> None:
-    """Of the gap of 40 from 300 to 340, 310 closes a quarter and 290 loses as much. Student's t is 12.706
+    """The gap is 40, from 300 to 340: 310 closes a quarter and 290 loses as much. Student's t is 12.706
     for two episodes: gains of 39 and 41 have an interval of 40 +- 12.706."""
     rules = {"hold": [200.0, 400.0], "move": [200.0, 200.0], "lookahead": [239.0, 441.0]}
     [line] = gap_lines({"ippo": 310.0, "ia2c": 290.0}, rules)

@@ -98,7 +98,7 @@ class OneOfTwo(Game):
 
 
 class FirstMasked(OneOfTwo):
-    """As above, but the first agent must not act."""
+    """The same game, in which the first agent must not act."""
 
     ALLOWED = np.array([[True, False], [True, True]])
 
@@ -118,7 +118,7 @@ class Gamble(Game):
 
 
 class OpenCoins(Coins):
-    """As above, but branches carry over the coins that the source will throw."""
+    """The same game, in which branches carry over the coins that the source will throw."""
 
     def branch_from(self, source: "Game", rows: NDArray[np.int64], seeds: NDArray[np.uint64]) -> Observations:
         return super().branch_from(source, rows, source.seeds[rows])
@@ -183,7 +183,7 @@ def test_what_will_be_drawn_is_not_foreseen() -> None:
 
 
 def test_chance_differences_seldom_change_an_action() -> None:
-    """Of 8 futures 7 must win for a difference of 2 standard errors, which happens in 9 of 256 decisions;
+    """Seven of 8 futures must win for a difference of 2 standard errors, which happens in 9 of 256 decisions;
     more than half of them win in 93."""
     env = Gamble(None, 1)
     rule = Lookahead(Gamble, None, Idle(), 1, 8)
