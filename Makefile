@@ -95,7 +95,9 @@ docs: $(STAMP) ## build the documentation as a site, docs/_build/index.html; a w
 	@$(BIN)/python -m sphinx -q -E -a -W --keep-going docs docs/_build $(ARGS)
 	@echo "open docs/_build/index.html"
 
-notebooks: $(COMPILED) ## open the notebooks in JupyterLab; the first one trains a small study
+# Not of `setup`: Ray's processes would import its rfc3987-syntax, which takes each of them two seconds.
+notebooks: $(COMPILED) ## install JupyterLab if it is missing and open the notebooks; the first one trains a small study
+	@$(PIP_INSTALL) -e ".[notebooks]"
 	@$(BIN)/jupyter lab --notebook-dir=notebooks $(ARGS)
 
 browse: $(STAMP) ## serve studies, reports and runs as web pages

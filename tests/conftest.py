@@ -31,27 +31,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: rank[item.path])
 
 
-@pytest.fixture(scope="session")
-def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Path of an empty MLflow database, which takes MLflow two seconds to create; for stores of sessions in
-    processes of their own."""
-    root = tmp_path_factory.mktemp("empty")
-    Tracker(root)
-    return root / "mlflow.db"
-
-
-@pytest.fixture
-def new_stores(empty_database: Path) -> Callable[..., None]:
-    """Make stores in a folder, by their names in it, each with a copy of the empty database."""
-
-    def make(folder: Path, *names: str) -> None:
-        for name in names:
-            (root := folder / name).mkdir(parents=True)
-            shutil.copy(empty_database, root)
-
-    return make
-
-
 @pytest.fixture(autouse=True, scope="session")
 def _copied_databases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Give new stores of this process a copy of an empty MLflow database."""

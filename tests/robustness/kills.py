@@ -182,7 +182,8 @@ def compared(table: str, root: Path, whole_table: str, whole: Path) -> list[str]
     """Return the differences of a disturbed study from the undisturbed one."""
     if not table:
         return ["it does not finish"]
-    sync_each(root)  # what a busy session had no time to send
+    for store in (root, whole):
+        sync_each(store)
     tables = [] if results_of(table) == results_of(whole_table) else ["the tables differ"]
     return [*tables, *differences(whole, root)]
 

@@ -1,10 +1,9 @@
-"""Disks that fill or become read-only, locked databases, lost servers, sweeps at once: nothing is lost."""
+"""Disks that fill or become read-only, lost servers, sweeps at once: nothing is lost."""
 
 import os
 import random
 import shutil
 import signal
-import sqlite3
 import subprocess
 import time
 from collections.abc import Callable, Sequence
@@ -153,19 +152,6 @@ def size_limit(folder: Path, chance: random.Random, kept: ExitStack, blocks: int
         return _ended(session, f"files of {blocks} blocks")
 
 
-def _locked_database(folder: Path, chance: random.Random, kept: ExitStack) -> End:
-    delay, pause = _moment(chance), chance.choice([chance.uniform(0, 20), 75.0])
-    with Session(["sweep", *SWEEP], folder) as session, ExitStack() as held:
-        time.sleep(delay)
-        if (path := folder / "runs/mlflow.db").exists():
-            database = sqlite3.connect(path, isolation_level=None, timeout=30)
-            held.callback(database.close)
-            database.execute("BEGIN EXCLUSIVE")
-            time.sleep(pause)
-            database.execute("ROLLBACK")
-        return _ended(session, f"database locked after {delay:.1f} s for {pause:.1f} s")
-
-
 def _lost_server(folder: Path, chance: random.Random, kept: ExitStack) -> End:
     """The server keeps its database where a store has its own, so that the studies can be compared."""
     port, delay, pause = free_port(), _moment(chance), chance.uniform(0, 10)
@@ -205,7 +191,6 @@ def _moment(chance: random.Random) -> float:
 
 FAULTS: dict[str, Fault] = {
     "full disk": _full_disk,
-    "locked database": _locked_database,
     "read-only store": _read_only,
     "lost server": _lost_server,
     "sweeps at once": _sweeps_at_once,

@@ -3,7 +3,6 @@
 import random
 import signal
 import sqlite3
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -18,10 +17,7 @@ from tests.robustness.storage import size_limit
 pytestmark = pytest.mark.slow
 
 
-def test_a_disturbed_study_equals_the_undisturbed_one_and_a_loss_is_noticed(
-    tmp_path: Path, new_stores: Callable[..., None]
-) -> None:
-    new_stores(tmp_path, "whole/runs", "disturbed/runs")
+def test_a_disturbed_study_equals_the_undisturbed_one_and_a_loss_is_noticed(tmp_path: Path) -> None:
     sweep = [*STUDIES["workers"], *BASE, "seed=0", "env_steps=2400"]
     table, whole = undisturbed(sweep, tmp_path / "whole"), tmp_path / "whole" / "runs"
     disturbed = DisturbedStudy(sweep, tmp_path / "disturbed", random.Random(1))

@@ -97,6 +97,8 @@ def trial(root: Path, sweep: Sequence[str], kills: int, chance: random.Random) -
         kill = KILLS[place % len(KILLS)]
         was_alive = _strike(commands[place % 2], killed, int(point * total), kill, chance)
         kills_done += was_alive
+        if was_alive:
+            sync_each(killed)  # MLflow has a part of each curve when the next session goes on
         event = f"{kill.victim} by {kill.number.name}" if was_alive else "the session had already ended"
         print(f"{event} at {_iterations(killed)} of {total} iterations", flush=True)
     if kills and not kills_done:
@@ -105,7 +107,7 @@ def trial(root: Path, sweep: Sequence[str], kills: int, chance: random.Random) -
         )
     after = _run_to_end(commands[kills % 2])
     for store in (whole, killed):
-        sync_each(store)  # send what a busy session had no time for; nothing is sent twice
+        sync_each(store)  # nothing is sent twice
     if results_of(after) != results_of(table):
         return [f"tables differ:\n{table}\n{after}", *differences(whole, killed)]
     return differences(whole, killed)

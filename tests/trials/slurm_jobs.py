@@ -136,6 +136,7 @@ def trial(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
     """
     require_ray()
     train_here(root / "alone", sweep)
+    sync_each(root / "alone")
     found: list[str] = []
     for name, options in (("cluster", ["--nodes=2", "--cpus=2"]), ("array", ["--array", "--cpus=2"])):
         script = _written(root / name, sweep, options)

@@ -5,7 +5,6 @@ import random
 import shutil
 import signal
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -37,9 +36,8 @@ SMALL = (
 
 
 def test_a_killed_study_equals_the_uninterrupted_one_and_differences_are_detected(
-    tmp_path: Path, new_stores: Callable[..., None], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    new_stores(tmp_path, "whole", "killed")
     assert trial(tmp_path, SMALL, kills=2, chance=random.Random(1)) == []
     assert "the session had already ended" not in capsys.readouterr().out
 

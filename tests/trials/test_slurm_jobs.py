@@ -1,6 +1,5 @@
 """The scripts of `headway sweep --slurm` work in a real Slurm; small version of the trial."""
 
-from collections.abc import Callable
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,12 +14,9 @@ pytestmark = pytest.mark.cluster
 
 
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
-def test_slurm_jobs_give_the_study_of_one_machine(
-    tmp_path: Path, new_stores: Callable[..., None], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_slurm_jobs_give_the_study_of_one_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     settings = ("env_steps=1024", "evaluation.rules=[]", "evaluation.modes=[greedy]", "energy=off")
     root = tmp_path / "a store, 50% #1"
-    new_stores(root, "alone", "cluster", "array", "failed", "cancelled")
     with ExitStack() as stack:
         try:
             jobs = stack.enter_context(slurm())

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -56,9 +55,8 @@ def namespaces() -> None:
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 @pytest.mark.usefixtures("namespaces")
 def test_a_study_with_a_node_cut_off_equals_that_on_one_machine(
-    tmp_path: Path, new_stores: Callable[..., None], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    new_stores(tmp_path, "alone", "runs-cut-off")
     before = ray_processes()
     assert trial(tmp_path, SWEEP, {"runs-cut-off": TURNS["runs-cut-off"]}) == []
     assert capsys.readouterr().out.count("the cut-off actors resumed") == 1

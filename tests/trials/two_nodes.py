@@ -139,6 +139,7 @@ def trial(root: Path, sweep: Sequence[str], turns: dict[str, Turn]) -> list[str]
         pass  # fail before the training, which takes long
     alone = root / "alone"
     table = train_here(alone, sweep)
+    sync_each(alone)
     found: list[str] = []
     for name, turn in turns.items():
         began = time.monotonic()

@@ -5,7 +5,6 @@ import socket
 import time
 from contextlib import closing
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from threading import Thread
 
 from headway.contracts.errors import HeadwayError
@@ -24,6 +23,8 @@ ssh -L 5000:127.0.0.1:5000 MACHINE, and open the printed address there.
 """
 
 _HOST = "127.0.0.1"
+_FIRST_UPDATE_S = 3.0
+"""How long to wait for MLflow's database to be up to date; that of a large study takes longer."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,10 +38,10 @@ def execute(arguments: argparse.Namespace) -> int:
     _require_mlflow()
     root = existing_store(arguments.store).resolve()
     with closing(_listen(arguments.port)) as listener:
-        has_views = _update_database(root)
         from werkzeug.serving import WSGIRequestHandler, make_server
 
         from headway_launch.web.access import TokenAccess
+        from headway_launch.web.database_updates import DatabaseUpdates
         from headway_launch.web.pages import Pages
 
         class Handler(WSGIRequestHandler):
@@ -49,7 +50,8 @@ def execute(arguments: argparse.Namespace) -> int:
             def log_request(self, code: int | str = "-", size: int | str = "-") -> None:
                 """Print nothing; errors are still printed."""
 
-        application = TokenAccess(Pages(root, has_views))
+        updates = DatabaseUpdates(root)
+        application = TokenAccess(Pages(root, updates))
         server = make_server(
             _HOST,
             arguments.port,
@@ -59,6 +61,7 @@ def execute(arguments: argparse.Namespace) -> int:
             fd=listener.fileno(),
         )
         with StopRequests() as requests:
+            updates.start(_FIRST_UPDATE_S)
             Thread(target=server.serve_forever, daemon=True).start()
             print(f"http://{_HOST}:{arguments.port}/?token={application.token}", flush=True)
             print_line("headway: open this address; other users are refused without its token. Ctrl-C stops")
@@ -90,26 +93,3 @@ def _listen(port: int) -> socket.socket:
         listener.close()
         raise HeadwayError(f"port {port} cannot be used ({error}); give another with --port") from error
     return listener
-
-
-def _update_database(root: Path) -> bool:
-    """Send what MLflow's database lacks: ended runs, and the view of each study's runs.
-
-    Returns whether the experiments have the view. A database that cannot be written, such as another user's,
-    is a notice.
-    """
-    from headway.store.index import RunIndex
-    from headway.store.tracking.client import Tracker
-    from headway.store.tracking.sync import local_experiment, sync
-
-    try:
-        for line in sync(root):
-            print_line(f"headway: {line}")
-        tracker = Tracker(root)
-        found = (local_experiment(Path(row.directory)) for row in RunIndex(root).rows())
-        for experiment in {name for name in found if name}:
-            tracker.add_view(experiment)
-    except HeadwayError as error:
-        print_line(f"headway: MLflow's database is shown as it is: {error}")
-        return False
-    return True

@@ -6,11 +6,11 @@ from headway_launch.commands.runs import add_store_argument, existing_store
 
 EXAMPLES = """\
 examples:
-  headway sync                                     each run to its own store.tracking_uri
+  headway sync                                     each run to its server, else the store's database
   headway sync --to http://127.0.0.1:5000          all runs to this MLflow server
 
-The run folders hold the complete data, and nothing is sent twice: after a server was unreachable or a session
-was killed, this sends the data that MLflow lacks. Runs of live sessions are skipped.
+The run folders hold the complete data, and nothing is sent twice: this sends the data that MLflow lacks. Runs
+whose session is sending them to a server are skipped.
 """
 
 
@@ -28,7 +28,8 @@ def execute(arguments: argparse.Namespace) -> int:
     root = existing_store(arguments.store).resolve()
     if arguments.to:
         require_answer(arguments.to)
-    lines = sync(root, arguments.to) if arguments.to else sync_each(root)
-    for line in lines or ("MLflow has the data of all ended runs",):
+    done = sync(root, arguments.to) if arguments.to else sync_each(root)
+    lines = (*done.problems, *(f"{run} is up to date in MLflow" for run in done.runs))
+    for line in lines or ("MLflow has the data of all runs",):
         print(line)
     return 0

@@ -228,7 +228,8 @@ class StoreConfig:
     root: str = "runs"
     """Folder of the run folders, the MLflow database and the index."""
     tracking_uri: str | None = None
-    """MLflow tracking URI, without a password. null: a SQLite database in `store.root`."""
+    """MLflow server that receives runs while they train, without a password. null: none; the MLflow database
+    in `store.root` is filled by `headway browse` and `headway sync`."""
     curve_points: int = 200
     """Points of each metric's curve sent to MLflow. The Parquet log keeps all points."""
     checkpoint_every: int = 20

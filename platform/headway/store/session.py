@@ -1,4 +1,4 @@
-"""Store interface of the session process: cells and runs, mirrored to MLflow by a background thread."""
+"""Store interface of the session process: cells and runs, sent to an MLflow server if there is one."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -52,8 +52,9 @@ _CLOSE_SECONDS = 120.0
 class SessionStore:
     """Writer of the store for one session.
 
-    Run folders are written immediately and durably; a thread sends copies to MLflow, and its failures become
-    notices and never end a run.
+    Run folders are written immediately and durably. With `store.tracking_uri`, a thread sends copies to that
+    MLflow, and its failures become notices and never end a run. The store's own MLflow database is made from
+    the run folders by `headway browse` and `headway sync`: no session needs it.
     """
 
     def __init__(self, config: StoreConfig) -> None:
@@ -61,7 +62,7 @@ class SessionStore:
         self.curve_points = config.curve_points
         make_folder(self.root)
         self.tracking_uri = config.tracking_uri
-        self._mlflow = TrackingThread(self.root, config.tracking_uri)
+        self._mlflow = TrackingThread(self.root, uri) if (uri := config.tracking_uri) else None
         self._syncs: dict[Path, RunSync] = {}
         """One per run folder, also if the run is resumed in this session: two would send points twice."""
 
@@ -72,7 +73,7 @@ class SessionStore:
         Raises HeadwayError if its root cannot be written or a given tracking URI does not respond.
         """
         store = cls(config)
-        if config.tracking_uri is not None:
+        if store._mlflow:
             store._mlflow.connect()
         return store
 
@@ -116,24 +117,26 @@ class SessionStore:
 
     def notices(self) -> tuple[str, ...]:
         """Return the lines for the user since the last call."""
-        return self._mlflow.notices()
+        return self._mlflow.notices() if self._mlflow else ()
 
     def track(self, update: TrackingUpdate) -> None:
-        """Send an update to MLflow in the background."""
-        self._mlflow.submit(update)
+        """Send an update to the MLflow server in the background, if there is one."""
+        if self._mlflow:
+            self._mlflow.submit(update)
 
     def track_run(self, directory: Path) -> None:
-        """Send what MLflow lacks of a run in the background."""
+        """Send what the MLflow server lacks of a run in the background, if there is one."""
         self.track(self._syncs.setdefault(directory, RunSync(directory)).send)
 
     def close(self, seconds: float = _CLOSE_SECONDS) -> tuple[str, ...]:
-        """Wait, at most `seconds`, until MLflow is up to date; return the last notices.
+        """Wait, at most `seconds`, until the MLflow server is up to date; return the last notices.
 
         Runs of earlier sessions are included.
         """
-        if has_unsent(self.root, self.tracking_uri):
-            self.track(partial(send_unsent, self.root))
-        self._mlflow.close(seconds)
+        if self._mlflow:
+            if has_unsent(self.root, self._mlflow.uri):
+                self._mlflow.submit(partial(send_unsent, self.root))
+            self._mlflow.close(seconds)
         return self.notices()
 
 
@@ -205,7 +208,7 @@ class Cell:
         write_json(path, stored | {rule: [dict(row) for row in rows] for rule, rows in episodes.items()})
 
     def finish(self, status: Status, metrics: Mapping[str, float] | None = None) -> None:
-        """Store rule returns, session energy and status of the cell, and end its parent run in MLflow.
+        """Store rule returns, session energy and status of the cell, and end its parent run on the server.
 
         Metrics of earlier sessions stay, unless `metrics` replaces them. Raises HeadwayError if the summary
         cannot be written.
@@ -247,8 +250,8 @@ class Run:
     def durable(self, iteration: int) -> None:
         """Record that the training process has made everything up to `iteration` durable.
 
-        A thinned copy of the curve up to there goes to MLflow. Raises HeadwayError if the record cannot be
-        written or the log cannot be read.
+        A thinned copy of the curve up to there goes to the MLflow server. Raises HeadwayError if the record
+        cannot be written or the log cannot be read.
         """
         logged = read_rows(self.directory, "curve", after=self.record.durable_iteration)
         env_steps = [int(row["env_steps"]) for row in logged if int(row["iteration"]) <= iteration]
@@ -277,7 +280,7 @@ class Run:
         """End the run after its training process: close its gate, then write summary, views and status.
 
         `summary`: `final_reward`, `auc`, `kwh`, `kg_co2`, ...; None: unknown. A run that an earlier session
-        finished keeps its summary, which MLflow has and could only append to. Raises HeadwayError if the
+        finished keeps its summary, which MLflow may have and could only append to. Raises HeadwayError if the
         files cannot be written or the log cannot be read.
         """
         close_gates(self.directory)

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,10 +31,7 @@ def _unheard(*arguments: str, folder: Path) -> int:
 
 
 @pytest.mark.slow
-def test_a_session_without_listeners_trains_to_its_end(
-    tmp_path: Path, new_stores: Callable[..., None]
-) -> None:
-    new_stores(tmp_path, "runs")
+def test_a_session_without_listeners_trains_to_its_end(tmp_path: Path) -> None:
     assert _unheard("run", *TINY, "evaluation.rules=[optimal]", folder=tmp_path) == 0
     assert [row.status for row in RunIndex(tmp_path / "runs").rows()] == ["FINISHED"]
     assert _unheard("run", *TINY, "algo.lrr=1", folder=tmp_path) == 2

@@ -86,13 +86,6 @@ def runs(folder: Path) -> list[RunRow]:
     return RunIndex(folder / "runs").rows()
 
 
-@pytest.fixture
-def folder(tmp_path: Path, new_stores: Callable[..., None]) -> Path:
-    """Working directory with an empty store."""
-    new_stores(tmp_path, "runs")
-    return tmp_path
-
-
 @pytest.mark.slow
 def test_a_run_ends_with_a_table_and_is_in_the_store(
     empty_folder: Path, capsys: pytest.CaptureFixture[str]
@@ -124,12 +117,12 @@ def test_the_share_of_the_store_is_printed_for_long_trainings(
 
 @pytest.mark.slow
 def test_ctrl_c_keeps_everything_resume_continues_and_a_killed_session_leaves_no_process(
-    folder: Path,
+    tmp_path: Path,
 ) -> None:
     # Seed 1 waits for seed 0, so one run never starts.
     words = ("seed=0,1", "backend.parallel=1", "backend.workers=2", "store.checkpoint_every=3")
-    with headway("run", *TINY, *LONG, *words, folder=folder) as running:
-        running.wait_for(lambda: any(row.iterations for row in runs(folder)))
+    with headway("run", *TINY, *LONG, *words, folder=tmp_path) as running:
+        running.wait_for(lambda: any(row.iterations for row in runs(tmp_path)))
         running.process.send_signal(signal.SIGINT)
         running.wait_for(lambda: running.has_said("Ctrl-C again"))
         running.process.send_signal(signal.SIGTERM)  # belongs to the same request
@@ -137,24 +130,24 @@ def test_ctrl_c_keeps_everything_resume_continues_and_a_killed_session_leaves_no
         shown = running.table()
     assert running.has_said("with a checkpoint")
     assert running.has_said("headway resume")
-    first = {row.seed: row for row in runs(folder)}
+    first = {row.seed: row for row in runs(tmp_path)}
     assert {seed: row.status for seed, row in first.items()} == {0: "KILLED", 1: "KILLED"}
     assert latest_iteration(Path(first[0].directory, CHECKPOINTS)) == first[0].iterations
     assert shown[0]["env steps"] == str(first[0].env_steps)
 
-    with headway("resume", "--study", "default", folder=folder) as running:
-        running.wait_for(lambda: any(row.iterations > first[0].iterations for row in runs(folder)))
+    with headway("resume", "--study", "default", folder=tmp_path) as running:
+        running.wait_for(lambda: any(row.iterations > first[0].iterations for row in runs(tmp_path)))
         children = running.training()
         assert len(children) >= 3  # a training process and two workers
         running.process.kill()
         running.process.wait()
         assert not psutil.wait_procs(children, timeout=20)[1]
-    assert sorted((row.seed, row.status) for row in runs(folder)) == [(0, "KILLED"), (1, "KILLED")]
+    assert sorted((row.seed, row.status) for row in runs(tmp_path)) == [(0, "KILLED"), (1, "KILLED")]
 
 
 @pytest.mark.slow
 def test_a_lost_training_process_prints_one_line_and_the_others_continue(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     receive = TrainingProcess.receive
 
@@ -164,22 +157,22 @@ def test_a_lost_training_process_prints_one_line_and_the_others_continue(
             process._process.kill()
         return event
 
-    monkeypatch.chdir(folder)
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(TrainingProcess, "receive", receive_and_kill_the_first)
     words = ("env_steps=1e4", "backend=serial", "seed=0,1", "backend.parallel=2")
     assert run(["run", *TINY, *words]) == 2
     told = capsys.readouterr().err
     assert told.count("seed 0 failed: its training process was killed by SIGKILL") == 1
-    assert {row.seed: row.status for row in runs(folder)} == {0: "FAILED", 1: "FINISHED"}
+    assert {row.seed: row.status for row in runs(tmp_path)} == {0: "FAILED", 1: "FINISHED"}
 
 
 def test_the_error_of_a_failed_run_is_printed_once(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def training_job(*_: object) -> NoReturn:
         raise HeadwayError("the scenario is gone")
 
-    monkeypatch.chdir(folder)
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(SessionCell, "training_job", training_job)
     assert run(["run", *TINY, "seed=3", "env_steps=256", "backend=serial"]) == 2
     lines = capsys.readouterr().err.splitlines()
@@ -187,7 +180,7 @@ def test_the_error_of_a_failed_run_is_printed_once(
     [line] = [line for line in lines if "the scenario is gone" in line]
     told, path = line.split("; see ")
     assert told == "headway: seed 3 failed: the scenario is gone"
-    [row] = runs(folder)
+    [row] = runs(tmp_path)
     assert Path(path).resolve() == (Path(row.directory) / "traceback.txt").resolve()
     assert "HeadwayError: the scenario is gone" in Path(path).read_text()
 
@@ -198,9 +191,9 @@ def test_bad_input_starts_nothing(empty_folder: Path, refused: Refused) -> None:
 
 
 @pytest.mark.slow
-def test_a_second_ctrl_c_kills_at_once_and_the_table_shows_what_is_stored(folder: Path) -> None:
+def test_a_second_ctrl_c_kills_at_once_and_the_table_shows_what_is_stored(tmp_path: Path) -> None:
     often = ("store.checkpoint_every=1000000", "evaluation.every=1", "backend=serial")
-    with headway("run", *TINY, *LONG, *often, folder=folder) as running:
+    with headway("run", *TINY, *LONG, *often, folder=tmp_path) as running:
         running.wait_for(lambda: running.has_said(BEGUN))
         time.sleep(1.0)  # some hundred iterations
         children = running.training()
@@ -213,7 +206,7 @@ def test_a_second_ctrl_c_kills_at_once_and_the_table_shows_what_is_stored(folder
         assert not psutil.wait_procs(children, timeout=5)[1]
         shown = running.table()
     assert running.has_said("training after the last checkpoint is lost")
-    [row] = runs(folder)
+    [row] = runs(tmp_path)
     assert (row.status, row.env_steps, row.final_reward) == ("KILLED", 0, None)
     assert (shown[0]["env steps"], shown[0]["final reward (1 episode)"]) == ("0", "")
 

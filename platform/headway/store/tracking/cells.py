@@ -77,7 +77,13 @@ def _locked(root: Path) -> AbstractContextManager[None]:
     return locked(root / ".cells.lock", _LOCK_SECONDS, "the summary of a cell was written")
 
 
-def ended_cells(root: Path) -> tuple[list[CellSummary], list[str]]:
+def is_unattended(tracking_uri: str | None, session: Process) -> bool:
+    """Return whether no other live session can be sending what `session` trains or trained with
+    `tracking_uri`: sessions send to servers only, not to the store's own database."""
+    return tracking_uri is None or session == Process.current() or not session.may_live()
+
+
+def unattended_cells(root: Path) -> tuple[list[CellSummary], list[str]]:
     """Return the summaries that no other live session can be sending, and one line per unreadable file."""
     summaries, lines = [], []
     for path in sorted(root.glob("*/*.summary.json")):
@@ -86,6 +92,6 @@ def ended_cells(root: Path) -> tuple[list[CellSummary], list[str]]:
         except HeadwayError as error:
             lines.append(str(error))
             continue
-        if summary.session == Process.current() or not summary.session.may_live():
+        if is_unattended(summary.tracking_uri, summary.session):
             summaries.append(summary)
     return summaries, lines

@@ -1,11 +1,11 @@
-"""Synchronisation of run folders to MLflow: during training, after a resume, or any time later."""
+"""Synchronisation of run folders to MLflow, during training or any time later."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from headway.contracts import HeadwayError
 from headway.store.atomic_files import locked, read_json, write_json
@@ -13,7 +13,6 @@ from headway.store.checkpoint import latest_iteration
 from headway.store.parquet_log import read_rows
 from headway.store.run_folder import (
     CHECKPOINTS,
-    Process,
     RunRecord,
     cell_summary_file,
     now,
@@ -21,7 +20,7 @@ from headway.store.run_folder import (
     run_folders,
     status_of_all,
 )
-from headway.store.tracking.cells import CellSummary, ended_cells, send_cell
+from headway.store.tracking.cells import CellSummary, is_unattended, send_cell, unattended_cells
 from headway.store.tracking.client import Tracker, TrackingError, database_uri
 from headway.store.tracking.thinning import ThinnedCurve
 
@@ -69,9 +68,11 @@ class RunSync:
             self._sent_iteration = -1
         self._send_curve(tracker, child, record, sent)
         if ended:
-            self._complete(tracker, child, record)
+            self._finish(tracker, child, record)
         else:
             self._child = child
+        path = _state_file(self.directory, tracker.uri, tracker.local)
+        write_json(path, read_json(path) | {"complete": _progress(record)})
 
     def _begin(self, tracker: Tracker, record: RunRecord, tags: Mapping[str, str], running: bool) -> str:
         """Find or create the run in MLflow, note it in the folder, and return its identity there.
@@ -97,47 +98,57 @@ class RunSync:
             tracker.points(child, record.started, self._curve.points(durable, sent))
             self._sent_iteration = int(durable[-1]["iteration"])
 
-    def _complete(self, tracker: Tracker, child: str, record: RunRecord) -> None:
+    def _finish(self, tracker: Tracker, child: str, record: RunRecord) -> None:
         matching = (file for pattern in _FILES for file in self.directory.glob(pattern))
         files = sorted(file for file in matching if file.is_file())  # copying a pipe would never end
         status = record.settled_status
         # The summary of a run that may be resumed can still change, and MLflow only appends.
         summary = _numbers(read_summary(self.directory)) if status == "FINISHED" else {}
         tracker.finish(child, status, record.ended or now(), summary, files)
-        path = _state_file(self.directory, tracker.uri, tracker.local)
-        write_json(path, read_json(path) | {"complete": _end_state(record)})
 
 
-def sync(root: Path, tracking_uri: str | None = None) -> tuple[str, ...]:
+class Synced(NamedTuple):
+    """What a synchronisation has done."""
+
+    runs: tuple[str, ...]
+    """Runs that MLflow now has up to their last checkpoint; without those that it had so before."""
+    problems: tuple[str, ...]
+    """One line per run and cell that cannot be read."""
+
+
+def sync(root: Path, tracking_uri: str | None = None) -> Synced:
     """Bring MLflow up to date with every run folder under `root`.
 
-    Runs whose session may still be running are left out. `tracking_uri` None: the database in the root. Safe
-    to repeat: nothing is sent twice. Returns one line per run that was sent or could not be read. Raises
-    TrackingError if MLflow fails.
+    Runs that a live session may be sending to its own `tracking_uri` are left out. `tracking_uri` None: the
+    database in the root. Safe to repeat: nothing is sent twice. Raises TrackingError if MLflow fails.
     """
-    runs, lines = _ended_runs(root)
-    cells, more = ended_cells(root)
-    return (*lines, *more, *_send_missing(root, tracking_uri, runs, cells))
+    runs, problems = _unattended_runs(root)
+    cells, more = unattended_cells(root)
+    sent, unreadable = _send_missing(root, tracking_uri, runs, cells)
+    return Synced(tuple(sent), (*problems, *more, *unreadable))
 
 
-def sync_each(root: Path) -> tuple[str, ...]:
+def sync_each(root: Path) -> Synced:
     """Bring MLflow up to date by `sync`, each run at the tracking URI it was trained with.
 
-    Returns one line for each run that was sent or could not be read. Raises TrackingError if MLflow fails.
+    Raises TrackingError if MLflow fails.
     """
-    runs, lines = _ended_runs(root)
-    cells, more = ended_cells(root)
-    lines += more
+    runs, problems = _unattended_runs(root)
+    cells, more = unattended_cells(root)
+    sent: list[str] = []
+    problems += more
     for uri in dict.fromkeys(
         [*(run[1].tracking_uri for run in runs), *(cell.tracking_uri for cell in cells)]
     ):
-        lines += _send_missing(root, uri, *_trained_with(uri, runs, cells))
-    return tuple(lines)
+        there, unreadable = _send_missing(root, uri, *_trained_with(uri, runs, cells))
+        sent += there
+        problems += unreadable
+    return Synced(tuple(sent), tuple(problems))
 
 
-def has_unsent(root: Path, tracking_uri: str | None) -> bool:
+def has_unsent(root: Path, tracking_uri: str) -> bool:
     """Return whether ended runs or cells trained with this tracking URI are not yet sent completely."""
-    runs, cells = _trained_with(tracking_uri, _ended_runs(root)[0], ended_cells(root)[0])
+    runs, cells = _trained_with(tracking_uri, _unattended_runs(root)[0], unattended_cells(root)[0])
     return bool(_missing(root, tracking_uri, runs) or _missing_cells(root, tracking_uri, cells))
 
 
@@ -147,8 +158,8 @@ def send_unsent(root: Path, tracker: Tracker) -> None:
     Raises TrackingError if MLflow fails and, after all other runs are sent, HeadwayError if runs cannot be
     read.
     """
-    uri = None if tracker.local else tracker.uri
-    runs, cells = _trained_with(uri, _ended_runs(root)[0], ended_cells(root)[0])
+    uri = tracker.uri
+    runs, cells = _trained_with(uri, _unattended_runs(root)[0], unattended_cells(root)[0])
     _, unreadable = _send(root, tracker, _missing(root, uri, runs), _missing_cells(root, uri, cells))
     if unreadable:
         raise HeadwayError("; ".join(unreadable))
@@ -168,12 +179,9 @@ def _send_missing(
     tracking_uri: str | None,
     runs: Iterable[tuple[Path, RunRecord]],
     cells: Iterable[CellSummary],
-) -> tuple[str, ...]:
+) -> tuple[list[str], list[str]]:
     missing = _missing(root, tracking_uri, runs), _missing_cells(root, tracking_uri, cells)
-    if not any(missing):
-        return ()
-    sent, unreadable = _send(root, Tracker(root, tracking_uri), *missing)
-    return (*sent, *unreadable)
+    return _send(root, Tracker(root, tracking_uri), *missing) if any(missing) else ([], [])
 
 
 def _missing_cells(
@@ -191,7 +199,7 @@ def _missing(root: Path, tracking_uri: str | None, runs: Iterable[tuple[Path, Ru
 def _send(
     root: Path, tracker: Tracker, folders: Iterable[Path], cells: Iterable[tuple[str, str]]
 ) -> tuple[list[str], list[str]]:
-    """Send runs, and end their cells and `cells`; return a line per run sent and per unreadable run or cell.
+    """Send runs, and end their cells and `cells`; return the runs sent and a line per unreadable run or cell.
 
     A lock admits one session at a time, so that no run is created twice in MLflow.
     """
@@ -210,7 +218,7 @@ def _send(
             except HeadwayError as error:
                 unreadable.append(f"{folder.name} is not sent to MLflow: {error}")
         unreadable += _end_cells(root, tracker, {*cells, *((run.study, run.cell) for run in sent)})
-    return [f"{record.run_id} is up to date in MLflow" for record in sent], unreadable
+    return [record.run_id for record in sent], unreadable
 
 
 def _end_cells(root: Path, tracker: Tracker, places: Collection[tuple[str, str]]) -> list[str]:
@@ -250,19 +258,21 @@ def _end_cells(root: Path, tracker: Tracker, places: Collection[tuple[str, str]]
     return unreadable
 
 
-def _ended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:
-    """Return the ended runs that no other live session can be sending, and one line per unreadable run."""
-    runs, lines = [], []
+def _unattended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:
+    """Return the runs that no other live session can be sending, the newest first, and one line per
+    unreadable run."""
+    runs: list[tuple[Path, RunRecord]] = []
+    lines = []
     for folder in sorted(run_folders(root)):
         try:
             record = RunRecord.read(folder)
         except HeadwayError as error:
             lines.append(str(error))
             continue
-        own = record.session == Process.current()
-        if record.settled_status != "RUNNING" and (own or not record.session.may_live()):
+        ended = record.settled_status != "RUNNING"
+        if is_unattended(record.tracking_uri, record.session) and (ended or record.tracking_uri is None):
             runs.append((folder, record))
-    return runs, lines
+    return sorted(runs, key=lambda run: run[1].started, reverse=True), lines
 
 
 def local_experiment(folder: Path) -> str | None:
@@ -287,11 +297,11 @@ def _is_complete(folder: Path, record: RunRecord, root: Path, tracking_uri: str 
         state = read_json(path)
     except HeadwayError:
         return False  # the run is sent again, which rewrites the file
-    return state.get("uri") == uri and state.get("complete") == _end_state(record)
+    return state.get("uri") == uri and state.get("complete") == _progress(record)
 
 
-def _end_state(record: RunRecord) -> str:
-    """Return a text that identifies this end of the run; a resumed run ends again."""
+def _progress(record: RunRecord) -> str:
+    """Return a text that changes whenever there is more to send; a resumed run ends again."""
     return f"{record.settled_status} {record.ended or ''} {record.durable_iteration}"
 
 

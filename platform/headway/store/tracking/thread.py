@@ -1,4 +1,4 @@
-"""Background thread that sends a session's updates to MLflow, and retries while MLflow does not respond."""
+"""Background thread that sends a session's updates to an MLflow server, and retries while it is away."""
 
 import queue
 import threading
@@ -26,8 +26,8 @@ class TrackingThread:
     skipped. No failure ends the session.
     """
 
-    def __init__(self, root: Path, tracking_uri: str | None) -> None:
-        self._root, self._uri = root, tracking_uri
+    def __init__(self, root: Path, tracking_uri: str) -> None:
+        self._root, self.uri = root, tracking_uri
         self._changed = threading.Condition()
         self._pending: dict[TrackingUpdate, None] = {}
         """Ordered set."""
@@ -44,8 +44,7 @@ class TrackingThread:
 
     def connect(self) -> None:
         """Wait until MLflow responds. Raises HeadwayError if it fails or does not respond in time."""
-        if self._uri is not None:
-            require_answer(self._uri)
+        require_answer(self.uri)
         self._start()
         attempted = self._attempted.wait(_CONNECT_SECONDS)
         if attempted and self._problem is None:
@@ -53,7 +52,9 @@ class TrackingThread:
         self.close(0.0)
         if self._problem is not None:
             raise HeadwayError(one_line(self._problem))
-        raise HeadwayError(f"MLflow at {self._where} did not respond within {_CONNECT_SECONDS:g} s")
+        raise HeadwayError(
+            f"MLflow at {without_password(self.uri)} did not respond within {_CONNECT_SECONDS:g} s"
+        )
 
     def submit(self, update: TrackingUpdate) -> None:
         """Send `update` soon; after `close` it is left to the next session."""
@@ -121,14 +122,13 @@ class TrackingThread:
                 self._pending = unsent | self._pending
         else:
             if self._problem is not None:
-                self._notices.put(f"MLflow at {self._where} responds again and is up to date")
+                self._notices.put(f"MLflow at {without_password(self.uri)} responds again and is up to date")
             self._problem = None
 
     def _connected(self) -> Tracker:
         if self._tracker is None:
-            if self._uri is not None:
-                require_answer(self._uri)
-            self._tracker = Tracker(self._root, self._uri)
+            require_answer(self.uri)
+            self._tracker = Tracker(self._root, self.uri)
         return self._tracker
 
     def _apply(self, update: TrackingUpdate, tracker: Tracker) -> None:
@@ -142,10 +142,6 @@ class TrackingThread:
             if notice not in self._reported:
                 self._reported.add(notice)
                 self._notices.put(notice)
-
-    @property
-    def _where(self) -> str:
-        return without_password(self._uri) if self._uri else "its database"
 
 
 _LATER = "the runs' folders hold everything, and the next session or `headway sync` brings MLflow up to date"

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -85,40 +84,33 @@ def by_processes(tmp_path_factory: pytest.TempPathFactory) -> Log:
     return _tables(_runs(folder)[3])
 
 
-@pytest.fixture
-def folder(tmp_path: Path, new_stores: Callable[..., None]) -> Path:
-    """Working directory with an empty store."""
-    new_stores(tmp_path, "runs")
-    return tmp_path
-
-
 @pytest.mark.cluster
 @needs_ray
 def test_a_session_killed_and_then_stopped_by_ctrl_c_resumes_to_the_curves_of_processes(
-    folder: Path, by_processes: Log
+    tmp_path: Path, by_processes: Log
 ) -> None:
     """Ctrl-C at a terminal reaches the whole process group, including Ray's processes."""
     before = ray_processes()
-    with _started("run", *TINY, "backend=ray", folder=folder) as process:
-        _until_kept(process, folder)
+    with _started("run", *TINY, "backend=ray", folder=tmp_path) as process:
+        _until_kept(process, tmp_path)
         process.kill()
         process.communicate(timeout=PATIENCE_S)
-    killed_at, [row] = _kept(folder), _runs(folder).values()
-    with _started("resume", row.run_id, folder=folder) as process:
-        _until_kept(process, folder, after=killed_at)
+    killed_at, [row] = _kept(tmp_path), _runs(tmp_path).values()
+    with _started("resume", row.run_id, folder=tmp_path) as process:
+        _until_kept(process, tmp_path, after=killed_at)
         os.killpg(process.pid, signal.SIGINT)
         _, shown = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 130, shown
     assert "with a checkpoint" in shown
     assert "failed" not in shown
     assert "(raylet)" not in shown
-    [row] = _runs(folder).values()
+    [row] = _runs(tmp_path).values()
     assert row.status == "KILLED"
-    assert killed_at < row.iterations == _kept(folder) < 80
-    with _started("resume", row.run_id, folder=folder) as process:
+    assert killed_at < row.iterations == _kept(tmp_path) < 80
+    with _started("resume", row.run_id, folder=tmp_path) as process:
         _, shown = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, shown
-    [row] = _runs(folder).values()
+    [row] = _runs(tmp_path).values()
     assert row.status == "FINISHED"
     assert _tables(row) == by_processes
     assert_gone(before)
@@ -126,11 +118,13 @@ def test_a_session_killed_and_then_stopped_by_ctrl_c_resumes_to_the_curves_of_pr
 
 @pytest.mark.cluster
 @needs_ray
-def test_runs_queue_on_the_cluster_and_a_lost_one_continues(folder: Path, by_processes: Log) -> None:
+def test_runs_queue_on_the_cluster_and_a_lost_one_continues(tmp_path: Path, by_processes: Log) -> None:
     before = ray_processes()
     words = ("algo=ippo,ia2c", "backend=ray", "backend.learners=cluster", "backend.parallel=1")
-    with _started("sweep", *(word for word in TINY if word != "algo=ippo"), *words, folder=folder) as process:
-        _until_kept(process, folder)
+    with _started(
+        "sweep", *(word for word in TINY if word != "algo=ippo"), *words, folder=tmp_path
+    ) as process:
+        _until_kept(process, tmp_path)
         [host] = [host for host in ray_processes() - before if "TrainingHost" in " ".join(host.cmdline())]
         children = host.children(recursive=True)
         host.kill()
@@ -139,7 +133,7 @@ def test_runs_queue_on_the_cluster_and_a_lost_one_continues(folder: Path, by_pro
     lost = "its training process was lost (its worker process has died); restarted from its last checkpoint"
     assert shown.count(lost) == 1
     assert not any(child.is_running() for child in children)
-    ended = {row.algorithm: row for row in RunIndex(folder / "runs").rows()}
+    ended = {row.algorithm: row for row in RunIndex(tmp_path / "runs").rows()}
     assert {name: row.status for name, row in ended.items()} == {"ippo": "FINISHED", "ia2c": "FINISHED"}
     assert _tables(ended["ippo"]) == by_processes
     assert_gone(before)

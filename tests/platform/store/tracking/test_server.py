@@ -138,7 +138,7 @@ def test_a_server_that_reconnects_receives_everything_once(
         status, points, metrics = stored(line.uri, "lost", run.run_id)
         assert (status, metrics["summary/final_reward"]) == ("FINISHED", reward)
         assert points == expected(ITERATIONS)
-    assert sync_each(tmp_path) == ()
+    assert sync_each(tmp_path) == ((), ())
 
 
 def _points_of(line: Line, study: str, run_id: str) -> list[tuple[int, float]]:
@@ -167,7 +167,7 @@ def test_the_next_session_sends_what_an_unreachable_server_missed(
     other = SessionStore.open(config)
     assert other.close() == ()
     assert stored(line.uri, "away", run.run_id)[:2] == ("FINISHED", expected(ITERATIONS))
-    assert sync_each(tmp_path) == ()
+    assert sync_each(tmp_path) == ((), ())
     assert capsys.readouterr().out == ""  # MLflow would print the run's address
 
 

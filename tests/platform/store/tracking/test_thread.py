@@ -8,14 +8,15 @@ import pytest
 
 from headway.contracts import HeadwayError
 from headway.store.tracking import thread
-from headway.store.tracking.client import Tracker, TrackingError
+from headway.store.tracking.client import Tracker, TrackingError, database_uri
 from headway.store.tracking.thread import TrackingThread
 
 PATIENCE_S = 60.0
 
 
 def test_an_update_that_is_pending_is_sent_once(tmp_path: Path) -> None:
-    mlflow, begun, free, sent = TrackingThread(tmp_path, None), threading.Event(), threading.Event(), []
+    mlflow, sent = TrackingThread(tmp_path, database_uri(tmp_path)), []
+    begun, free = threading.Event(), threading.Event()
 
     def block(tracker: Tracker) -> None:
         begun.set()
@@ -36,7 +37,7 @@ def test_an_update_that_is_pending_is_sent_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("outage", [1, 2])
 def test_an_update_that_fails_at_the_end_is_tried_once_more(tmp_path: Path, outage: int) -> None:
-    mlflow, attempts, after = TrackingThread(tmp_path, None), [], []
+    mlflow, attempts, after = TrackingThread(tmp_path, database_uri(tmp_path)), [], []
     mlflow.submit(lambda tracker: time.sleep(0.2))  # so that everything is sent in the last round
 
     def update(tracker: Tracker) -> None:
@@ -56,13 +57,13 @@ def test_an_update_that_fails_at_the_end_is_tried_once_more(tmp_path: Path, outa
 def test_after_a_failed_connection_nothing_retries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     attempts = []
 
-    def refuse(root: Path, tracking_uri: str | None) -> Tracker:
+    def refuse(root: Path, tracking_uri: str) -> Tracker:
         attempts.append(tracking_uri)
         raise TrackingError("no such server")
 
     monkeypatch.setattr(thread, "Tracker", refuse)
     monkeypatch.setattr(thread, "_RETRY_SECONDS", 0.05)
-    mlflow = TrackingThread(tmp_path, None)
+    mlflow = TrackingThread(tmp_path, database_uri(tmp_path))
     with pytest.raises(HeadwayError, match="no such server"):
         mlflow.connect()
     assert mlflow._thread is not None
