@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from headway.contracts import HeadwayError
 from headway.events import Row
+from headway.store.arrow_table import table_of
 from headway.store.atomic_files import require_regular, write_durably
 
 if TYPE_CHECKING:
@@ -46,12 +47,10 @@ class EnergyLog:
         """Write all samples durably. Raises HeadwayError if that fails."""
         if not self._rows:
             return
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
         self._load()
-        columns = list(dict.fromkeys(column for row in self._rows for column in row))
-        content = pa.table({column: [row.get(column) for row in self._rows] for column in columns})
+        content = table_of(self._rows)
         write_durably(self._path, lambda stream: pq.write_table(content, stream, compression="zstd"))
         self._written = time.monotonic()
 

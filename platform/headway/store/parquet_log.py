@@ -13,6 +13,7 @@ from typing import IO, TYPE_CHECKING, Any, Literal, get_args
 
 from headway.contracts import HeadwayError
 from headway.events import Row
+from headway.store.arrow_table import table_of
 from headway.store.atomic_files import make_folder, remove_partial, require_regular, sync_folder
 from headway.store.fencing import discard, write_through
 
@@ -66,7 +67,7 @@ class RunLog:
             if not rows:
                 continue
             path = self.directory / f"{table}-{iteration:06d}.parquet"
-            content = _arrow(rows)
+            content = table_of(rows)
             if path.exists():
                 content = _concatenated([pq.read_table(path), content])
 
@@ -197,30 +198,6 @@ def _plain(column: str, value: Any) -> float | int | str:  # noqa: ANN401 - any 
     if isinstance(value, numbers.Real):
         return float(value)
     raise ValueError(f"column {column!r} holds {value!r}: rows hold floats, integers and strings only")
-
-
-def _arrow(rows: list[dict[str, float | int | str]]) -> "pa.Table":
-    import pyarrow as pa
-
-    columns: dict[str, set[type]] = {}
-    for row in rows:
-        for column, value in row.items():
-            columns.setdefault(column, set()).add(type(value))
-    arrays = {
-        column: pa.array([row.get(column) for row in rows], _arrow_type(column, kinds))
-        for column, kinds in columns.items()
-    }
-    return pa.table(arrays)
-
-
-def _arrow_type(column: str, kinds: set[type]) -> "pa.DataType":
-    import pyarrow as pa
-
-    if str in kinds:
-        if len(kinds) > 1:
-            raise ValueError(f"column {column!r} mixes text and numbers: give it one type")
-        return pa.string()
-    return pa.float64() if float in kinds else pa.int64()
 
 
 def _concatenated(tables: "list[pa.Table]") -> "pa.Table":

@@ -11,7 +11,6 @@ from typing import Any, Self
 from headway.config.experiment import StoreConfig
 from headway.contracts import HeadwayError
 from headway.events import Row
-from headway.store.artifacts import write_views
 from headway.store.atomic_files import locked, make_folder, read_json, write_json, write_text
 from headway.store.energy_log import EnergyLog
 from headway.store.fencing import close_gates, open_gate
@@ -277,7 +276,7 @@ class Run:
         self._store.track_run(self.directory)
 
     def finish(self, status: Status, summary: Mapping[str, float | int | str | None]) -> None:
-        """End the run after its training process: close its gate, then write summary, views and status.
+        """End the run after its training process: close its gate, then write summary and status.
 
         `summary`: `final_reward`, `auc`, `kwh`, `kg_co2`, ...; None: unknown. A run that an earlier session
         finished keeps its summary, which MLflow may have and could only append to. Raises HeadwayError if the
@@ -288,7 +287,6 @@ class Run:
             return
         self.energy.write()
         write_json(self.directory / SUMMARY, summary)
-        write_views(self.directory, self.run_id)
         duration_s = self.record.duration_s + _seconds_since(self._resumed_at)
         self.record = replace(self.record, status=status, ended=now(), duration_s=duration_s)
         self.record.write(self.directory)

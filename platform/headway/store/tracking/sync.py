@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from headway.contracts import HeadwayError
+from headway.store.artifacts import write_views
 from headway.store.atomic_files import locked, read_json, write_json
 from headway.store.checkpoint import latest_iteration
 from headway.store.parquet_log import read_rows
@@ -55,7 +56,8 @@ class RunSync:
     def send(self, tracker: Tracker) -> None:
         """Send what MLflow lacks: the run and its tags, its curve up to the last checkpoint.
 
-        For an ended run, also its files and status; for a finished one, also its summary.
+        For an ended run, also its files, with views of its log, and its status; for a finished one, also its
+        summary.
         """
         record = RunRecord.read(self.directory)
         ended, tags = record.settled_status != "RUNNING", _run_tags(record)
@@ -99,6 +101,7 @@ class RunSync:
             self._sent_iteration = int(durable[-1]["iteration"])
 
     def _finish(self, tracker: Tracker, child: str, record: RunRecord) -> None:
+        write_views(self.directory, record.run_id)
         matching = (file for pattern in _FILES for file in self.directory.glob(pattern))
         files = sorted(file for file in matching if file.is_file())  # copying a pipe would never end
         status = record.settled_status
