@@ -4,9 +4,9 @@
 
 starts munge, a controller and two nodes, each in its own network namespace, with all files in a temporary
 folder. It runs the scripts that the command writes for a Ray cluster over both nodes and for an array of
-seeds, then one whose trainings fail and one that is cancelled. Prints the differences from the study trained
-here with worker processes, and anything of Ray left on a node; exits with code 1 if there is either, or 2
-without Slurm (Debian: slurmctld slurmd slurm-client munge) or namespaces.
+seeds, then one whose trainings fail and one that is cancelled; `--turn` chooses some of these. Prints the
+differences from the study trained here with worker processes, and anything of Ray left on a node; exits with
+code 1 if there is either, or 2 without Slurm (Debian: slurmctld slurmd slurm-client munge) or namespaces.
 """
 
 import argparse
@@ -19,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,13 +115,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Train as Slurm jobs, and compare with one machine.")
     parser.add_argument("--root", type=Path, required=True, help="an empty folder for the stores")
     parser.add_argument("--steps", default="2000", help="environment steps of each seed")
+    parser.add_argument("--turn", action="append", choices=TURNS, help="may be repeated; default: all")
     parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="further overrides of the sweep")
     arguments = parser.parse_args()
     sweep = [*SMALL, f"study={STUDY}", f"env_steps={arguments.steps}", *arguments.overrides]
     signal.signal(signal.SIGTERM, end_by_signal)
     try:
         with slurm() as jobs:
-            found = trial(jobs, arguments.root, sweep)
+            found = trial(jobs, arguments.root, sweep, arguments.turn or tuple(TURNS))
     except HeadwayError as error:
         print(error, file=sys.stderr)
         sys.exit(2)
@@ -129,28 +130,35 @@ def main() -> None:
     sys.exit(1 if found else 0)
 
 
-def trial(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
-    """Return the differences between a study trained here and as Slurm jobs.
+def trial(jobs: Slurm, root: Path, sweep: Sequence[str], turns: Sequence[str]) -> list[str]:
+    """Return the differences between a study trained here and as Slurm jobs in each of `turns`.
 
     Raises HeadwayError if Ray is missing, or a job cannot be submitted.
     """
     require_ray()
     train_here(root / "alone", sweep)
     sync_each(root / "alone")
-    found: list[str] = []
-    for name, options in (("cluster", ["--nodes=2", "--cpus=2"]), ("array", ["--array", "--cpus=2"])):
-        script = _written(root / name, sweep, options)
-        state = jobs.end(jobs.submit(script))
-        print(f"{name}: {state}", flush=True)
-        found += [f"{name}: {line}" for line in jobs.left()]
-        if state != "COMPLETED":
-            found += [f"{name}: {line}" for line in (state, *_told(script))]
-            continue
-        sync_each(root / name)
-        found += [f"{name}: {line}" for line in differences(root / "alone", root / name)]
-    found += [f"failed: {line}" for line in _fail(jobs, root / "failed", sweep)]
-    found += [f"cancelled: {line}" for line in _cancel(jobs, root / "cancelled", sweep)]
-    return found
+    return [f"{name}: {line}" for name in turns for line in TURNS[name](jobs, root / name, sweep)]
+
+
+def _cluster(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
+    """Train on a Ray cluster over both nodes; return the differences and what is left on the nodes."""
+    return _complete(jobs, root, sweep, ["--nodes=2", "--cpus=2"])
+
+
+def _array(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
+    """Train each seed as a task of an array; return the differences and what is left on the nodes."""
+    return _complete(jobs, root, sweep, ["--array", "--cpus=2"])
+
+
+def _complete(jobs: Slurm, root: Path, sweep: Sequence[str], options: Sequence[str]) -> list[str]:
+    script = _written(root, sweep, options)
+    state = jobs.end(jobs.submit(script))
+    print(f"{root.name}: {state}", flush=True)
+    if state != "COMPLETED":
+        return [*jobs.left(), state, *_told(script)]
+    sync_each(root)
+    return [*jobs.left(), *differences(root.parent / "alone", root)]
 
 
 def _written(root: Path, sweep: Sequence[str], options: Sequence[str]) -> Path:
@@ -200,6 +208,14 @@ def _cancel(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
     if statuses != {"KILLED"}:
         return [f"its runs are {' and '.join(sorted(statuses))}, not KILLED", *_told(script)]
     return jobs.left()
+
+
+TURNS: dict[str, Callable[[Slurm, Path, Sequence[str]], list[str]]] = {
+    "cluster": _cluster,
+    "array": _array,
+    "failed": _fail,
+    "cancelled": _cancel,
+}
 
 
 @contextmanager
