@@ -14,16 +14,18 @@ _LABELS = ("iteration", "env_steps", "wall_s")
 _DRAWN = ("evaluation_greedy/return", "evaluation_sampled/return", "training/return")
 
 
-def write_views(directory: Path, title: str) -> None:
-    """Write the picture and the table into a run's folder, replacing older ones.
+def write_views(directory: Path, title: str, into: Path) -> list[Path]:
+    """Write the picture and the table of the run in `directory` into a folder; return their paths.
 
     Write nothing if the run has no curve yet. Raises HeadwayError if its log cannot be read or a file cannot
     be written.
     """
+    written = []
     rows = read_rows(directory, "curve")
     evaluated = [row for row in rows if any(name.startswith("evaluation_") for name in row)]
     if evaluated:
-        write_text(directory / _TABLE, _table(evaluated))
+        written.append(into / _TABLE)
+        write_text(written[-1], _table(evaluated))
     curves = {
         name.replace("/", ": ").replace("_", " "): points
         for name in _DRAWN
@@ -33,7 +35,9 @@ def write_views(directory: Path, title: str) -> None:
         from headway.stats import plots
 
         figure = plots.run_curves(curves, title)
-        write_durably(directory / _PICTURE, lambda stream: figure.savefig(stream, format="png", dpi=100))
+        written.append(into / _PICTURE)
+        write_durably(written[-1], lambda stream: figure.savefig(stream, format="png", dpi=100))
+    return written
 
 
 def _table(rows: Sequence[Row]) -> str:

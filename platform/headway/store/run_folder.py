@@ -3,7 +3,7 @@
 run.json config.yaml plan.json            identity, configuration, resolved plan
 curve-*.parquet episodes-*.parquet evaluation-*.parquet checkpoints/   written by the training process
 energy.parquet summary.json               written by the session process
-tracking*.json curves.png evaluations.csv written with what MLflow is sent
+tracking*.json                            what MLflow has received
 """
 
 import os

@@ -10,12 +10,14 @@ from chromium import Page
 
 from headway.store.index import RunRow
 from headway.store.query import select
+from headway.store.tracking.sync import sync
 
 pytestmark = pytest.mark.browser
 
 
 @pytest.fixture(scope="module")
 def address(trained: Path) -> Iterator[str]:
+    sync(trained)  # so that the first page has its links
     with browse_server(trained) as printed:
         yield printed
 

@@ -5,6 +5,7 @@ from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from headway.contracts import HeadwayError
@@ -27,17 +28,7 @@ from headway.store.tracking.thinning import ThinnedCurve
 
 _SYNC_SECONDS = 600.0
 _STATE = "tracking.json"
-_FILES = (
-    "config.yaml",
-    "plan.json",
-    "run.json",
-    "summary.json",
-    "*.parquet",
-    "*.csv",
-    "*.png",
-    "*.svg",
-    "*.html",
-)
+_FILES = ("config.yaml", "plan.json", "run.json", "summary.json", "*.parquet")
 
 
 class RunSync:
@@ -101,13 +92,14 @@ class RunSync:
             self._sent_iteration = int(durable[-1]["iteration"])
 
     def _finish(self, tracker: Tracker, child: str, record: RunRecord) -> None:
-        write_views(self.directory, record.run_id)
         matching = (file for pattern in _FILES for file in self.directory.glob(pattern))
         files = sorted(file for file in matching if file.is_file())  # copying a pipe would never end
         status = record.settled_status
         # The summary of a run that may be resumed can still change, and MLflow only appends.
         summary = _numbers(read_summary(self.directory)) if status == "FINISHED" else {}
-        tracker.finish(child, status, record.ended or now(), summary, files)
+        with TemporaryDirectory() as folder:
+            views = write_views(self.directory, record.run_id, Path(folder))
+            tracker.finish(child, status, record.ended or now(), summary, [*files, *views])
 
 
 class Synced(NamedTuple):
