@@ -64,6 +64,7 @@ COMMANDS = {
         parts={
             "synthetic": Command("write a synthetic scenario", "data.synthetic"),
             "gtfs": Command("write a scenario from a GTFS feed", "data.gtfs"),
+            "csv": Command("write a scenario from an operator's own CSV files", "data.csv_files"),
             "sunt": Command("write a scenario from SUNT's raw files", "data.sunt"),
             "describe": Command("show lines, fleet, headways and demand of a scenario", "data.describe"),
             "plot": Command("plot a map of a scenario with loads and headways", "data.plot"),

@@ -20,7 +20,7 @@ from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 
 PROJECT = Path(__file__).parents[4]
-PARTS = ("synthetic", "gtfs", "sunt", "describe", "plot", "realism")
+PARTS = ("synthetic", "gtfs", "csv", "sunt", "describe", "plot", "realism")
 HEAVY = ("pandas", "pyarrow", "numba", "scipy", "matplotlib")
 
 
@@ -52,6 +52,7 @@ def test_every_help_shows_examples_and_imports_nothing_heavy() -> None:
         (["gtfs", "nowhere.zip", "x"], ["FEED: nowhere.zip does not exist; give a GTFS feed"]),
         (["gtfs", "f", "x", "--weekday", "soon"], ["--weekday: 'soon' is not a date YYYY-MM-DD"]),
         (["gtfs", "f", "x", "--boardings-per-trip", "0"], ["--boardings-per-trip must be above 0"]),
+        (["csv", "nowhere", "x"], ["FOLDER: nowhere is not a folder; give the one that holds stops.csv"]),
         (["sunt", "nowhere", "x"], ["RAW: nowhere is not a folder"]),
         (["sunt", "f", "x", "--sunday", "0"], ["--sunday: '0' is not a date"]),
         (["describe", "corridr"], ["did you mean 'corridor'?"]),
