@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -103,6 +104,27 @@ def test_a_written_scenario_is_the_built_in_one(
     there, here = prepare(BusConfig(scenario=str(out))), prepare(BusConfig(scenario_seed=5))
     for mine, theirs in zip(here.network, there.network, strict=True):
         np.testing.assert_array_equal(mine, theirs)
+
+
+def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
+) -> None:
+    folder, out = tmp_path / "counts", tmp_path / "mine"
+    folder.mkdir()
+    page = (PROJECT / "docs" / "howto" / "scenario.md").read_text(encoding="utf-8")
+    for name, text in re.findall(r"`(\w+)\.csv`:\n\n```csv\n(.*?)```", page, re.DOTALL):
+        if name != "calls":
+            (folder / f"{name}.csv").write_text(text, encoding="utf-8")
+    times = folder / "link_times.csv"
+    intact = times.read_text(encoding="utf-8")
+    times.write_text(intact.replace("165", "2:45"), encoding="utf-8")
+    line = refused("data", "csv", str(folder), str(out))
+    assert "link_times.csv, row 2, column mean_s: '2:45' is not a number; correct it" in line
+    assert not out.exists()
+    times.write_text(intact, encoding="utf-8")
+    assert run(["data", "csv", str(folder), str(out)]) == 0
+    assert "1 line, 2 patterns, 3 stops, 4 links\nweekday: 8 trips" in capsys.readouterr().out
+    assert prepare(BusConfig(scenario=str(out))).network.pattern_calls.tolist() == [0, 3, 6]
 
 
 @pytest.mark.parametrize(
