@@ -112,7 +112,7 @@ def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
     folder, out = tmp_path / "counts", tmp_path / "mine"
     folder.mkdir()
     page = (PROJECT / "docs" / "howto" / "scenario.md").read_text(encoding="utf-8")
-    for name, text in re.findall(r"`(\w+)\.csv`:\n\n```csv\n(.*?)```", page, re.DOTALL):
+    for name, text in re.findall(r"`(\w+)\.csv`:\n\n```text\n(.*?)```", page, re.DOTALL):
         if name != "calls":
             (folder / f"{name}.csv").write_text(text, encoding="utf-8")
     times = folder / "link_times.csv"

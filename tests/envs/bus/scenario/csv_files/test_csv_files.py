@@ -26,7 +26,7 @@ PLANNED = ("stops", "lines", "trips", "link_times", "demand")
 
 def _examples() -> dict[str, str]:
     """Return the guide's files by name; the block of each follows its name."""
-    blocks = re.findall(r"`(\w+)\.csv`:\n\n```csv\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
+    blocks = re.findall(r"`(\w+)\.csv`:\n\n```text\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
     return dict(blocks)
 
 
