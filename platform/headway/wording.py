@@ -1,5 +1,18 @@
 """Wording shared by all printed output."""
 
+import re
+
+_UNITS = {
+    "minutes": ("min", "min"),
+    "s": ("s", "s"),
+    "m": ("m", "m"),
+    "m/s": ("m/s", "ms"),
+    "m/s^2": ("m/s\N{SUPERSCRIPT TWO}", "ms2"),
+    "per hour": ("per hour", "vph"),
+    "gallons/s": ("gallons/s", "gal_s"),
+}
+"""Unit as shown, and as a part of a metric's name, by the last words of the metric's description."""
+
 
 def counted(count: int, what: str) -> str:
     """Return a count with its noun: `1 run`, `3 runs`."""
@@ -9,3 +22,16 @@ def counted(count: int, what: str) -> str:
 def environment_name(env_id: str) -> str:
     """Return an environment's id, or the name of its file: `shuttle.py` for `/lab/shuttle.py`."""
     return env_id.rpartition("/")[2] if env_id.endswith(".py") else env_id
+
+
+def readable_metric(metric: str, description: str = "") -> str:
+    """Return a metric's name in words, with its unit if it has one: `mean wait, min` for `mean_wait_min`.
+
+    The unit stands in the description after its last comma, up to a semicolon.
+    """
+    known = _UNITS.get(description.partition(";")[0].rpartition(", ")[2])
+    if known is None:
+        return metric.replace("_", " ")
+    unit, short = known
+    name = re.sub(f"_{short}(?=_|$)", "", metric).replace("_", " ")
+    return f"{name}, {unit}"

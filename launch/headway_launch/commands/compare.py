@@ -1,6 +1,10 @@
 """`headway compare`: compare a study's cells and the classical rules on the same episodes."""
 
 import argparse
+import csv
+import json
+import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +47,8 @@ seed's policy is the one with the highest mean return in the evaluations during 
 are others (unless --seed is evaluation.seed). Differences are
 controller minus reference, paired by episode, with 95% intervals by Student's t: over episodes for a rule or
 a cell with one seed, over training seeds and episodes for a cell with several. The default reference is the
-rule with the highest mean return. `headway list metrics ENVIRONMENT` describes the metrics.
+rule with the highest mean return. The table rounds the numbers of a metric to two significant digits of its
+narrowest interval; csv and json have all digits. `headway list metrics ENVIRONMENT` describes the metrics.
 """
 
 
@@ -70,6 +75,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--against", help="reference rule (default: the best one)")
     parser.add_argument(
         "--metrics", default="return", help="metrics to compare, comma-separated (default: return)"
+    )
+    parser.add_argument(
+        "--format", choices=("table", "json", "csv"), default="table", help="output format (default: table)"
     )
     add_where_argument(parser)
     add_config_dir_argument(parser)
@@ -154,7 +162,13 @@ def execute(arguments: argparse.Namespace) -> int:
         "interval",
     )
     mode = f", {arguments.mode}" if cells else ""
-    print_table(columns, rows, title=f"{subject.name}: {episodes} episodes of {found.spec.name}{mode}")
+    if arguments.format == "json":
+        print(json.dumps([dict(zip(columns, row, strict=True)) for row in rows], indent=1))
+    elif arguments.format == "csv":
+        csv.writer(sys.stdout, lineterminator="\n").writerows([columns, *rows])
+    else:
+        title = f"{subject.name}: {episodes} episodes of {found.spec.name}{mode}"
+        print_table(columns, _rounded(rows), title=title)
     for label, members in cells.items():
         folders = [run.directory for run in members]
         return_metric = f"evaluation_{arguments.mode}/return"
@@ -288,3 +302,18 @@ def _row(
     if against is not None:
         interval = (against.estimate, against.low, against.high, against.method)
     return (metric, controller, seeds or None, mean, *interval)
+
+
+def _rounded(rows: "Sequence[tuple[Value, ...]]") -> "list[tuple[Value, ...]]":
+    """Return the rows with numbers rounded to two significant digits of the metric's narrowest interval."""
+    widths: dict[Value, float] = {}
+    for metric, *_, low, high, _ in rows:
+        if isinstance(low, float) and isinstance(high, float) and high > low:
+            widths[metric] = min(widths.get(metric, math.inf), high - low)
+
+    def rounded(metric: "Value", value: "Value") -> "Value":
+        if not isinstance(value, float) or metric not in widths:
+            return value
+        return round(value, 1 - math.floor(math.log10(widths[metric])))
+
+    return [tuple(rounded(row[0], value) for value in row) for row in rows]

@@ -208,13 +208,10 @@ def _points(curve: "pd.DataFrame") -> Iterator[tuple[int, float, dict[str, float
 
 def _metric_meanings(runs: "RunSelection") -> dict[str, str]:
     """Return the meaning of each episode metric of the runs' environments."""
-    from headway.registry import env_entries
     from headway_launch.commands.listing import COMMON_METRICS
+    from headway_launch.studies.runs import metric_descriptions
 
-    meanings = dict(COMMON_METRICS)
-    for name in sorted({row.environment for row in runs.rows} & set(env_entries())):
-        meanings |= env_entries()[name].metrics
-    return meanings
+    return {**COMMON_METRICS, **metric_descriptions(runs)}
 
 
 def _meaning(column: str, metrics: Mapping[str, str]) -> str:

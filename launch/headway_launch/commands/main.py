@@ -54,7 +54,7 @@ COMMANDS = {
     "compare": Command("compare a study's cells and the rules on the same episodes", "compare"),
     "plot": Command("plot a study's learning curves", "plot"),
     "convert": Command("write a study's logs as CSV or for TensorBoard or Weights & Biases", "convert"),
-    "render": Command("render an episode of a policy or a rule as GIF or PNG", "render"),
+    "render": Command("render an episode of a policy or a rule as GIF, MP4 or PNG", "render"),
     "report": Command("write a study's report: one page with tables and plots", "report"),
     "browse": Command("browse studies, reports and runs in a web browser", "browse"),
     "sync": Command("send run data that MLflow lacks", "sync"),
@@ -64,6 +64,7 @@ COMMANDS = {
         parts={
             "synthetic": Command("write a synthetic scenario", "data.synthetic"),
             "gtfs": Command("write a scenario from a GTFS feed", "data.gtfs"),
+            "csv": Command("write a scenario from an operator's own CSV files", "data.csv_files"),
             "sunt": Command("write a scenario from SUNT's raw files", "data.sunt"),
             "describe": Command("show lines, fleet, headways and demand of a scenario", "data.describe"),
             "plot": Command("plot a map of a scenario with loads and headways", "data.plot"),

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from headway.wording import readable_metric
 from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
 from headway_launch.console.output_files import write_figure
 
@@ -48,7 +49,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Plot, and print the path of the picture."""
     from headway.stats import frames, plots
     from headway.store.query import RunSelection
-    from headway_launch.studies.runs import curves_of, finished_runs, rules_beside
+    from headway_launch.studies.runs import curves_of, finished_runs, metric_descriptions, rules_beside
 
     root = existing_store(arguments.store)
     named: str = arguments.metric
@@ -57,7 +58,9 @@ def execute(arguments: argparse.Namespace) -> int:
     output = Path(arguments.output or f"{arguments.study}.png")
     means = frames.mean_curves(curves_of(runs, metric))
     remark = " (lower is better)" if arguments.lower_is_better else ""
-    label = f"{metric.replace('_', ' ').replace('/', ': ')}{remark}"
+    group, _, column = metric.rpartition("/")
+    name = readable_metric(column, metric_descriptions(runs).get(column, ""))
+    label = f"{group.replace('_', ' ')}: {name}{remark}"
     figure = plots.learning_curves(
         means,
         {} if arguments.no_rules else rules_beside(runs, metric),

@@ -1,4 +1,4 @@
-"""`headway render`: render an episode as an animated GIF, or one of its steps as a PNG."""
+"""`headway render`: render an episode as an animated GIF or MP4 video, or one of its steps as a PNG."""
 
 import argparse
 from collections.abc import Callable, Generator, Iterator
@@ -34,14 +34,15 @@ examples:
   headway render merge --rule idle --step 60 --output moment.png
   headway render bus --rule even_headway --output day.png      map and time-space diagram of the day
   headway render bus --rule even_headway --fps 25              animated over the hours of the day
+  headway render bus --rule even_headway --fps 25 --output day.mp4    smaller (extra: video)
   headway render ./shuttle.py --rule random                    any environment with the render mode rgb_array
   headway render s0-20260101-1200 --keep                       written into the run's folder
 
-A .gif shows the whole episode; a .png shows one step (the last, or that of --step). The caption names the
-rule or run, the seed and the number of the episode. PettingZoo and Gymnasium environments are rendered by
-their own `render` with the mode rgb_array, without the last step.
+A .gif or .mp4 shows the whole episode; a .png shows one step (the last, or that of --step). The caption names
+the rule or run, the seed and the number of the episode. PettingZoo and Gymnasium environments are rendered
+by their own `render` with the mode rgb_array, without the last step.
 """
-_SUFFIXES = (".gif", ".png")
+_SUFFIXES = (".gif", ".mp4", ".png")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, help="root of the episode seeds (default: evaluation.seed)")
     parser.add_argument("--step", type=int, help="step that a .png shows (default: the last)")
     parser.add_argument("--output", help="file to write (default: NAME.gif)")
-    parser.add_argument("--fps", type=float, default=5.0, help="steps per second of a .gif (default: 5)")
+    parser.add_argument("--fps", type=float, default=5.0, help="steps per second of a video (default: 5)")
     parser.add_argument(
         "--keep",
         action="store_true",
@@ -82,9 +83,11 @@ def execute(arguments: argparse.Namespace) -> int:
     folder = output.parent.parent if arguments.keep and not output.parent.exists() else output.parent
     require_writable("--output", output, folder)
     from headway.registry import env_entries
-    from headway_launch.console.video import PackedFrame, write_film, write_picture
+    from headway_launch.console.video import PackedFrame, mp4_writer, write_film, write_mp4, write_picture
     from headway_launch.runner.warm_up import compile_kernels
 
+    if output.suffix == ".mp4":
+        mp4_writer()  # refused before anything is played
     player = _player(arguments)
     found = player.environment
     if found.entry.renderer is None:
@@ -103,14 +106,15 @@ def execute(arguments: argparse.Namespace) -> int:
         else:
             packed = [PackedFrame.of(frame) for frame in frames]
             _make_folder(arguments, output)
-            write_film(packed, output, arguments.fps, caption)
+            write = write_mp4 if output.suffix == ".mp4" else write_film
+            write(packed, output, arguments.fps, caption)
     print(output)
     return 0
 
 
 def _check(arguments: argparse.Namespace, output: Path) -> None:
     if output.suffix not in _SUFFIXES:
-        raise HeadwayError(f"--output: {output} must end in {' or '.join(_SUFFIXES)}")
+        raise HeadwayError(f"--output: {output} must end in {', '.join(_SUFFIXES[:-1])} or {_SUFFIXES[-1]}")
     if arguments.step is not None and output.suffix != ".png":
         raise HeadwayError("--step needs a single picture: give --output NAME.png")
     if arguments.episode < 0 or (arguments.seed or 0) < 0 or (arguments.step or 0) < 0:

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from headway.contracts.errors import HeadwayError
 from headway_launch.console.output_files import write_error
 from headway_launch.console.progress_display import CountedProgress
 
@@ -97,6 +98,43 @@ def write_film(frames: Sequence[PackedFrame], output: Path, fps: float, caption:
             )
     except OSError as error:
         raise write_error("--output", output, error) from error
+
+
+def mp4_writer() -> Any:  # noqa: ANN401 - a module
+    """Return imageio-ffmpeg, which an extra installs. Raises HeadwayError if it is missing."""
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise HeadwayError(
+            "--output: an .mp4 needs the package imageio-ffmpeg; install it with "
+            'pip install "headway[video]", or write a .gif'
+        ) from error
+    return imageio_ffmpeg
+
+
+def write_mp4(frames: Sequence[PackedFrame], output: Path, fps: float, caption: str) -> None:
+    """Write frames as an H.264 video, `fps` per second, with the caption as its title.
+
+    Raises HeadwayError if it cannot be written.
+    """
+    height, width = (side // 2 * 2 for side in frames[0].shape[:2])  # the pixel format halves both
+    video = mp4_writer().write_frames(
+        str(output),
+        (width, height),
+        fps=fps,
+        macro_block_size=2,
+        ffmpeg_log_level="error",
+        output_params=["-metadata", f"title={caption}"],
+    )
+    try:
+        video.send(None)
+        with CountedProgress("frames written", len(frames)) as written:
+            for frame in frames:
+                video.send(np.ascontiguousarray(frame.unpacked()[:height, :width]))
+                written.add()
+        video.close()
+    except OSError as error:  # with ffmpeg's own lines
+        raise write_error("--output", output, OSError(" ".join(str(error).split()))) from error
 
 
 def _palette(frames: Sequence[PackedFrame]) -> "Image.Image":

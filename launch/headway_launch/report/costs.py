@@ -118,7 +118,7 @@ def tradeoff_section(data: StudyData) -> Section:
     if not len(points):
         return Section("tradeoff", f"{reward} against cost", ["Neither energy nor CPU seconds are known."])
     picture = plots.reward_against_cost(
-        points, cost, factor, (label, f"final {data.metric_label}"), data.styles, data.sign
+        points, cost, factor, (label, f"final {data.metric_with_unit}"), data.styles, data.sign
     )
     caption = (
         f"Final {data.metric_label} against cost per run: one dot per seed, a ring at each controller's mean."

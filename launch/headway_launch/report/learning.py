@@ -20,7 +20,7 @@ _COMPONENT = "reward_"
 def curves_section(data: StudyData) -> Section:
     """Return the section with learning curves and sample efficiency."""
     means = frames.mean_curves(data.curves)
-    label = f"{data.mode}: {data.column.replace('_', ' ')}"
+    label = f"{data.mode}: {data.metric_with_unit}"
     body: list[Part] = [
         Picture(
             "learning_curves",
@@ -127,7 +127,7 @@ def episode_metrics_section(data: StudyData) -> Section:
                 f"Episode metrics{where}.",
                 ["metric", *columns],
                 [
-                    [str(metric), *map(formatted, row)]
+                    [data.readable(str(metric)), *map(formatted, row)]
                     for metric, row in zip(means.index, means.to_numpy(), strict=True)
                 ],
                 means.rename_axis("metric").reset_index(),

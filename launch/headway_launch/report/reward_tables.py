@@ -34,7 +34,7 @@ def final_reward_section(data: StudyData) -> Section:
             rows.append([*_environment_cell(data, task), controller, str(len(members)), *cells])
             exact.append({"environment": task, "controller": controller, "seeds": len(members), **values})
         of_rules = data.rules_beside_curves.get(task, {})
-        for rule, value in sorted(of_rules.items(), key=lambda item: -data.sign * item[1]):
+        for rule, value in ((rule, of_rules[rule]) for rule in data.ranked_rules(task) if rule in of_rules):
             rules.add(len(rows))
             before, after = [MISSING] * 3 * (len(_curves(data)) - 1), [MISSING] * 2
             rows.append(
@@ -44,7 +44,7 @@ def final_reward_section(data: StudyData) -> Section:
             exact.append({"environment": task, "controller": f"rule {rule}", name: value})
     headings = [*_environment_heading(data), "controller", "seeds"]
     for name in _curves(data):
-        label = "reward" if name == "training" else data.metric_label
+        label = "reward" if name == "training" else data.metric_with_unit
         headings += [f"{name}: final {label}", f"{name}: AUC, own range", f"{name}: AUC, study's range"]
     table = Table(
         "final_rewards",
@@ -170,7 +170,7 @@ def interquartile_section(data: StudyData) -> Section:
                     f"Interquartile means of the final {data.metric_label}{data.where(task)} with their 95% "
                     f"intervals, and the rules on the same episodes. {data.few_seeds_note}".strip(),
                     plots.intervals(
-                        found, values, f"IQM of final {data.metric_label}", data.styles, data.sign
+                        found, values, f"IQM of final {data.metric_with_unit}", data.styles, data.sign
                     ),
                 )
             )
@@ -199,7 +199,7 @@ def _interquartile_table(data: StudyData) -> Table:
             rows.append([*place, formatted(mean), *_against(data, against, None)])
             of_rule = {"environment": task, "controller": f"rule {rule}", "last_evaluation": mean}
             exact.append({**of_rule, **_exact(against)})
-    names = ["controller", "seeds", f"IQM of final {data.metric_label} [95%]", "last evaluation"]
+    names = ["controller", "seeds", f"IQM of final {data.metric_with_unit} [95%]", "last evaluation"]
     return Table(
         "interquartile_means",
         f"Interquartile mean (IQM) of the final {data.metric_label} with its 95% interval by the "
@@ -244,7 +244,7 @@ def improvement_section(data: StudyData) -> Section:
             caption += f" Outside the axis: {', '.join(f'{name} ({formatted(off[name])})' for name in off)}."
         thresholds = frames.even_thresholds(scores[~scores["controller"].isin(list(off))])
         profiles = frames.profiles(scores, thresholds)
-        picture = plots.performance_profiles(profiles, f"final {data.metric_label}", data.styles)
+        picture = plots.performance_profiles(profiles, f"final {data.metric_with_unit}", data.styles)
         body.append(Picture(f"profiles{data.file_suffix(place)}", caption, picture))
     return Section("improvement", "Probability of improvement and performance profiles", body)
 

@@ -16,7 +16,7 @@ from headway.stats import frames, plots
 from headway.stats.samples import Interval, MeanStd, mean_std
 from headway.store.query import LABELS as RUN_LABELS
 from headway.store.query import RunSelection
-from headway.wording import counted
+from headway.wording import counted, readable_metric
 from headway_launch.experiments.parameters import flat
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference, gap_lines
 from headway_launch.studies.runs import (
@@ -24,6 +24,7 @@ from headway_launch.studies.runs import (
     curve_points,
     curves_of,
     included_runs,
+    metric_descriptions,
     rules_beside,
     study_runs,
 )
@@ -86,7 +87,20 @@ class StudyData:
     @property
     def metric_label(self) -> str:
         """Name of the metric in text."""
-        return "reward" if self.column == "return" else self.column.replace("_", " ")
+        return "reward" if self.column == "return" else self.readable(self.column).partition(", ")[0]
+
+    @property
+    def metric_with_unit(self) -> str:
+        """Name of the metric with its unit, for axes and headings."""
+        return "reward" if self.column == "return" else self.readable(self.column)
+
+    def readable(self, metric: str) -> str:
+        """Return a metric's name in words with its unit."""
+        return readable_metric(metric, self._descriptions.get(metric, ""))
+
+    @cached_property
+    def _descriptions(self) -> dict[str, str]:
+        return metric_descriptions(self.runs)
 
     @cached_property
     def tasks(self) -> list[str]:
@@ -123,8 +137,9 @@ class StudyData:
 
     @cached_property
     def styles(self) -> dict[str, dict[str, Any]]:
-        """Plot style of each controller, the same in all pictures."""
-        return plots.colours(self.controllers)
+        """Plot style of each controller and rule, the same in all pictures."""
+        rules = dict.fromkeys(rule for task in self.tasks for rule in self.ranked_rules(task))
+        return {**plots.colours(self.controllers), **plots.rule_styles(list(rules))}
 
     @cached_property
     def curve_metrics(self) -> pd.DataFrame:

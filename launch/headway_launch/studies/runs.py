@@ -97,6 +97,14 @@ def curve_points(runs: "RunSelection", metric: str) -> "pd.DataFrame":
     return ordered.reindex(columns=[*kept, metric]).rename(columns={metric: "value"})
 
 
+def metric_descriptions(runs: "RunSelection") -> dict[str, str]:
+    """Return the description of each episode metric of the runs' environments."""
+    from headway.registry import env_entries
+
+    names = sorted({row.environment for row in runs.rows} & set(env_entries()))
+    return {metric: said for name in names for metric, said in env_entries()[name].metrics.items()}
+
+
 def rules_beside(runs: "RunSelection", metric: str) -> dict[str, dict[str, float]]:
     """Return the mean of an evaluation metric per task and rule, over the episodes of the curves' points.
 

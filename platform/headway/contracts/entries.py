@@ -119,7 +119,7 @@ class EnvEntry:
     """(prepared) -> what `lookahead` simulates: the same environment, possibly with rewards that charge at
     once what an action will cost beyond the horizon."""
     metrics: Mapping[str, str] = field(default_factory=dict)
-    """Description of each episode metric, with its unit, in the order of `EnvSpec.metrics`."""
+    """Description of each episode metric, its unit last (`..., m/s`), in the order of `EnvSpec.metrics`."""
     renderer: Callable[[Any], Renderer] | None = None
     """(prepared) -> renderer, for `headway render`; None: the environment cannot be rendered."""
     preload: tuple[str, ...] = ()

@@ -4,8 +4,8 @@ Nothing is displayed or registered globally, so the plots work alike in a comman
 controller has the same colour in all plots that get the same `styles` from `colours`.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import count, pairwise
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +30,6 @@ _LINE_STYLES: tuple[Any, ...] = ("-", (0, (5, 1)), (0, (1, 1)))
 """Line styles of the first, second and third round through the colours."""
 _MARKERS = ("o", "s", "^")
 """Markers of the same rounds in scatter plots."""
-_RULE_LINES: tuple[Any, ...] = ("--", ":", "-.", (0, (9, 2)), (0, (5, 2, 1, 2, 1, 2)), (0, (1, 5)))
 FEWEST_SEEDS = 3
 """Curves of fewer seeds have no band: with two, the 95% interval is nine times as wide as they are apart."""
 _OUTLIER_FACTOR = 5.0
@@ -70,6 +69,26 @@ def colours(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
     }
 
 
+def rule_styles(rules: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the style of each rule's line by `rule NAME`: greys, each with its own dash pattern."""
+    return {
+        f"rule {rule}": {
+            "linestyle": (0, pattern),
+            "color": f"{0.15 + 0.45 * (place % 2):.2f}",
+            "linewidth": 1,
+        }
+        for place, (rule, pattern) in enumerate(zip(rules, _dash_patterns(), strict=False))
+    }
+
+
+def _dash_patterns() -> Iterator[tuple[float, ...]]:
+    """Yield lengths of dashes, dots and gaps: a dash, a dot, then ever more dashes and dots in turn."""
+    yield from ((5.0, 2.0), (1.0, 2.0))
+    for marks in count(2):
+        for dots in range(1, marks):
+            yield (5.0, 2.0) * (marks - dots) + (1.0, 2.0) * dots
+
+
 def learning_curves(
     means: "pd.DataFrame",
     rules: Mapping[str, Mapping[str, float]],
@@ -101,7 +120,7 @@ def learning_curves(
                 _plot_curve(axes, name, curve, column, styles[name], shade)
         middles = [curve[column].to_numpy() for name, curve in by_name.items() if name not in excluded]
         _bound_bands(axes, np.concatenate(middles))
-        plot_rules(axes, rules.get(task, {}))
+        plot_rules(axes, rules.get(task, {}), styles=styles)
         if excluded:
             window = axes.get_ylim()
             for name, value in excluded.items():
@@ -176,8 +195,15 @@ def _point_markers(points: int) -> dict[str, Any]:
     return {"marker": "o", "markersize": 3.5} if points <= _MAX_MARKED_POINTS else {}
 
 
-def plot_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) -> None:
-    """Plot each rule as a grey horizontal line, or a vertical one if `upright`, the highest first.
+def plot_rules(
+    axes: "Axes",
+    rules: Mapping[str, float],
+    upright: bool = False,
+    styles: Mapping[str, Mapping[str, Any]] | None = None,
+) -> None:
+    """Plot each rule as a grey horizontal line, or a vertical one if `upright`.
+
+    Order and style are those of `rule_styles` in `styles`, or else the highest rule comes first.
 
     Distant rules are only listed in the legend. A vertical axis with fixed limits is extended to the
     plotted rules.
@@ -185,16 +211,17 @@ def plot_rules(axes: "Axes", rules: Mapping[str, float], upright: bool = False) 
     low, high = axes.get_xlim() if upright else axes.get_ylim()
     near = near_rules(rules, low, high)
     plot_line = axes.axvline if upright else axes.axhline
-    for place, (rule, value) in enumerate(sorted(rules.items(), key=lambda item: -item[1])):
-        style: dict[str, Any] = {
-            "linestyle": _RULE_LINES[place % len(_RULE_LINES)],
-            "color": f"{0.15 + 0.45 * (place % 2):.2f}",
-            "linewidth": 1,
-        }
-        if rule in near:
-            plot_line(value, label=f"rule {rule}", **style)
+    names = {f"rule {rule}": rule for rule in rules}
+    own: Mapping[str, Mapping[str, Any]]
+    own = {name: style for name, style in (styles or {}).items() if name in names}
+    if len(own) < len(rules):
+        own = rule_styles(sorted(rules, key=lambda rule: -rules[rule]))
+    for name, style in own.items():
+        value = rules[names[name]]
+        if names[name] in near:
+            plot_line(value, label=name, **style)
         else:
-            axes.plot([], [], label=f"rule {rule} (off scale: {_four_digits(value)})", **style)
+            axes.plot([], [], label=f"{name} (off scale: {_four_digits(value)})", **style)
     if near and not upright and not axes.get_autoscaley_on():
         shown = [rules[rule] for rule in near]
         edge = 0.05 * (max(high, *shown) - min(low, *shown))
@@ -277,7 +304,7 @@ def intervals(
             place, row["iqm_high"] - row["iqm_low"], left=row["iqm_low"], height=0.5, color=colour, alpha=0.45
         )
         axes.plot([row["iqm"]] * 2, [place - 0.25, place + 0.25], color=colour, linewidth=2.5)
-    plot_rules(axes, rules, upright=True)
+    plot_rules(axes, rules, upright=True, styles=styles)
     axes.use_sticky_edges = False  # otherwise the margins would not apply to the bars
     axes.margins(x=0.05)
     _label_rows(axes, beside)

@@ -1,6 +1,8 @@
 """`headway compare` of rules alone: nothing was trained, and no store is asked for."""
 
 import csv
+import json
+import math
 from pathlib import Path
 
 import pytest
@@ -18,25 +20,40 @@ GAME = ("env=tracking", "env.args.steps=7")
 def test_rules_are_compared_on_the_days_of_an_environment(
     words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["compare", *words, "--episodes", "4", "--seed", "9", "--metrics", "return,distance"]) == 0
+    asked = ["compare", *words, "--episodes", "4", "--seed", "9", "--metrics", "return,distance"]
+    assert run([*asked, "--format", "csv"]) == 0
     shown = capsys.readouterr()
-    rows = {
-        (row["metric"], row["controller"]): row
-        for row in csv.DictReader(shown.out.splitlines(), delimiter="\t")
-    }
+    rows = {(row["metric"], row["controller"]): row for row in csv.DictReader(shown.out.splitlines())}
     entry = env_entry("tracking")
     prepared = entry.prepare(entry.config(steps=7))
     for rule in ("random", "optimal"):
         played = evaluate_rule(entry.make, entry.rules[rule].make, prepared, 9, 4)
         for metric in ("return", "distance"):
             mean = sum(float(row[metric]) for row in played) / 4
-            assert float(rows[metric, f"rule {rule}"]["mean"]) == pytest.approx(mean, rel=1e-4)
+            assert float(rows[metric, f"rule {rule}"]["mean"]) == pytest.approx(mean, rel=1e-12)
     assert len(rows) == 4
     assert float(rows["return", "rule random"]["95% high"]) < 0
     assert rows["return", "rule optimal"]["minus optimal"] == ""
     assert "train at least" not in shown.err
     assert "4 episodes: the intervals assume a normal distribution" in shown.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_table_has_two_digits_of_the_interval_and_json_all(capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["compare", *GAME, "--episodes", "4", "--metrics", "return"]
+    assert run([*asked, "--format", "json"]) == 0
+    exact = {row["controller"]: row for row in json.loads(capsys.readouterr().out)}
+    assert run(asked) == 0
+    shown = csv.DictReader(capsys.readouterr().out.splitlines(), delimiter="\t")
+    found = exact["rule random"]
+    width = found["95% high"] - found["95% low"]
+    unit = 10.0 ** (math.floor(math.log10(width)) - 1)  # of the second digit of the interval's width
+    for row in shown:
+        for name in ("mean", "minus optimal", "95% low", "95% high"):
+            if row[name]:
+                value = exact[row["controller"]][name]
+                assert float(row[name]) == pytest.approx(value, abs=0.5001 * unit)
+                assert float(row[name]) / unit == pytest.approx(round(float(row[name]) / unit))
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """`headway render`: episodes by a rule and by a trained policy, and what it refuses."""
 
 import json
+import sys
 import weakref
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,30 @@ def test_a_rule_is_drawn_to_the_end_of_the_episode(tmp_path: Path) -> None:
         picture.seek(3)
         apart = np.abs(np.asarray(picture.convert("RGB"), int) - np.asarray(moment, int))
     assert np.quantile(apart, 0.9999) < 40  # the palette has the few yellow pixels of the obstacle, too
+
+
+def test_an_mp4_has_the_frames_and_the_rate_of_the_episode(tmp_path: Path) -> None:
+    reader = pytest.importorskip("imageio_ffmpeg")
+    output, still = tmp_path / "idle.mp4", tmp_path / "idle.png"
+    assert run(["render", *IDLE, "--fps", "4", "--output", str(output)]) == 0
+    assert run(["render", *IDLE, "--output", str(still)]) == 0
+    assert reader.count_frames_and_secs(str(output)) == (5, pytest.approx(1.25))
+    played = reader.read_frames(str(output))
+    size = next(played)["size"]
+    *_, last = (np.frombuffer(frame, np.uint8).reshape(size[1], size[0], 3) for frame in played)
+    with Image.open(still) as picture:
+        moment = np.asarray(picture, int)[: size[1], : size[0]]
+    assert np.abs(last - moment).mean() < 4  # the codec loses little
+
+
+def test_an_mp4_without_its_extra_is_refused_before_anything_is_played(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
+) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    monkeypatch.setattr(MergeRenderer, "render", None)
+    line = refused("render", *IDLE, "--output", str(tmp_path / "idle.mp4"))
+    assert 'an .mp4 needs the package imageio-ffmpeg; install it with pip install "headway[video]"' in line
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("suffix", [".png", ".gif"])
@@ -136,7 +161,7 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path, refused: 
         (["buss"], "unknown run or environment 'buss'; did you mean bus, with --rule RULE?"),
         (["merge", "--rule", "idel"], "--rule: unknown rule 'idel'; did you mean idle?"),
         (["trivial", "--rule", "random"], "trivial cannot be rendered; environments that can: bus, inter"),
-        (["merge", "--rule", "idle", "--output", "a.mp4"], "--output: a.mp4 must end in .gif or .png"),
+        (["merge", "--rule", "idle", "--output", "a.avi"], "--output: a.avi must end in .gif, .mp4 or .png"),
         (["merge", "--rule", "idle", "--step", "3"], "--step needs a single picture"),
         (["merge", "--rule", "idle", "--episode", "-1"], "--episode, --seed and --step must be at least 0"),
         (["merge", "--rule", "idle", "--keep"], "--keep works for runs only; omit --keep or --rule"),

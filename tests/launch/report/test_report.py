@@ -69,9 +69,13 @@ def axes_of(report: Report) -> dict[str, Axes]:
     return {part.name: part.figure.axes[0] for part in parts if isinstance(part, Picture)}
 
 
-def table(report: Report, name: str) -> pd.DataFrame:
+def report_table(report: Report, name: str) -> Table:
     [found] = [tables(section)[name] for section in report.sections if name in tables(section)]
-    return found.data
+    return found
+
+
+def table(report: Report, name: str) -> pd.DataFrame:
+    return report_table(report, name).data
 
 
 def two_algorithms(keep_run: Keep, **more: float) -> None:
@@ -490,6 +494,30 @@ def test_lower_costs_are_better(keep_run: Keep, root: Path) -> None:
     assert "training: final reward" in text_of(report)
     chances = table(report, "probability_of_improvement").set_index("a")["probability"]
     assert chances["ippo"] == 1
+
+
+def test_metrics_have_their_units_and_rules_one_order_in_tables_and_pictures(
+    keep_run: Keep, root: Path
+) -> None:
+    rules = {"random": 3.0, "idle": 1.0, "idm_mobil": 2.0}
+    for seed in range(2):
+        keep_run(("experiment=merge_mappo",), seed, 5.0 + seed, rules=rules, mean_speed_ms=22.0)
+    report = made(root, metric="evaluation_greedy/mean_speed_ms")
+    assert "IQM of final mean speed, m/s [95%]" in report_table(report, "interquartile_means").headings
+    assert "greedy: final mean speed, m/s" in report_table(report, "final_rewards").headings
+    assert "mean speed, m/s" in [row[0] for row in report_table(report, "episode_metrics").rows]
+    pictures = axes_of(report)
+    assert pictures["learning_curves"].get_ylabel() == "greedy: mean speed, m/s"
+    assert pictures["intervals"].get_xlabel() == "IQM of final mean speed, m/s"
+    report = made(root, lower=True)
+    order = ["rule idle", "rule idm_mobil", "rule random"]
+    for name in ("final_rewards", "interquartile_means"):
+        shown = [cell for row in report_table(report, name).rows for cell in row if cell in order]
+        assert shown == order, name
+    assert [word for word in report_table(report, "episode_metrics").headings if word in order] == order
+    for name in ("learning_curves", "intervals"):
+        lines = [str(line.get_label()).partition(" (")[0] for line in axes_of(report)[name].lines]
+        assert [line for line in lines if line in order] == order, name
 
 
 def test_names_and_text_cannot_break_the_page() -> None:

@@ -2,7 +2,7 @@
 
 import io
 import math
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import pandas as pd
 import pytest
@@ -15,8 +15,10 @@ from headway.stats.plots import (
     intervals,
     learning_curves,
     performance_profiles,
+    plot_rules,
     reward_against_cost,
     reward_components,
+    rule_styles,
 )
 
 FOOTPRINT = ["kg_co2", "kwh", "cpu_kwh", "gpu_kwh", "ram_kwh", "cpu_seconds"]
@@ -103,6 +105,24 @@ def test_lines_are_labelled_from_the_highest_to_those_off_scale() -> None:
     texts = _curve(3).axes[0].texts
     names = ["rule better", "mappo (3 seeds)", "rule worse", "rule hopeless (off scale: -900)"]
     assert [text.get_text() for text in sorted(texts, key=lambda text: -text.get_position()[1])] == names
+
+
+def test_no_two_rules_have_the_same_pattern_and_each_has_its_own_in_all_pictures() -> None:
+    names = [f"rule_{place}" for place in range(25)]
+    patterns = [style["linestyle"][1] for style in rule_styles(names).values()]
+    turned = [
+        {marks[2 * turn :] + marks[: 2 * turn] for turn in range(len(marks) // 2)} for marks in patterns
+    ]
+    assert all(one.isdisjoint(other) for one, other in combinations(turned, 2))
+    styles = {**colours(["a"]), **rule_styles(["last", "first", "middle"])}
+    shown = []
+    for values in ({"first": 3.0, "middle": 2.0, "last": 1.0}, {"last": 5.0, "first": 4.0}):
+        axes = Figure().add_subplot()
+        plot_rules(axes, values, styles=styles)
+        shown.append({str(line.get_label()): line._dash_pattern for line in axes.lines})
+    assert list(shown[0]) == ["rule last", "rule first", "rule middle"]
+    assert list(shown[1]) == ["rule last", "rule first"]
+    assert all(shown[0][name] == pattern for name, pattern in shown[1].items())
 
 
 def test_two_seeds_have_no_band() -> None:

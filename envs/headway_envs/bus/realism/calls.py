@@ -1,4 +1,4 @@
-"""Days as one row per call, simulated or recorded by SUNT."""
+"""Days as one row per call, simulated or recorded, by SUNT or in an operator's calls.csv."""
 
 import datetime as dt
 from collections import Counter
@@ -13,6 +13,9 @@ from headway.contracts import HeadwayError, Rule
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import MOVE
 from headway_envs.bus.prepared import Prepared
+from headway_envs.bus.scenario.csv_files.calls import has_counts, read_calls
+from headway_envs.bus.scenario.csv_files.files import is_there
+from headway_envs.bus.scenario.csv_files.lines import read_lines
 from headway_envs.bus.scenario.network import pattern_rows
 from headway_envs.bus.scenario.sunt.records import find_days, read_day
 from headway_envs.bus.scenario.tables import Tables
@@ -73,11 +76,14 @@ def simulated_days(
 def recorded_day(raw: Path, tables: Tables, day_type: str) -> RecordedDay:
     """Return the recorded day on which the scenario's timetable is based, for its lines only.
 
-    It is read from the files below `raw`; the metadata state its date. Raises HeadwayError if they state no
-    valid date, or if there is no file of that date or no trip of these lines in it.
+    It is read from SUNT's files below `raw`, or from calls.csv in it; the metadata state its date. Raises
+    HeadwayError if they state no valid date, or if there is no record of that date or no trip of these lines
+    in it.
     """
-    files = find_days(raw)
+    files = {} if is_there(raw, "calls") else find_days(raw)
     stated = _timetable_date(tables, day_type)
+    if not files:
+        return _day_of_csv(raw, tables, stated)
     found = {str(date): (date, file) for date, file in files.items()}
     if stated not in found:
         raise HeadwayError(
@@ -88,17 +94,13 @@ def recorded_day(raw: Path, tables: Tables, day_type: str) -> RecordedDay:
     calls = day.calls[day.calls["line"].isin(tables.patterns["line"])]
     if calls.empty:
         raise HeadwayError(f"--records: {file.name} has no trip of the scenario's lines")
-    number = calls["trip"].to_numpy()
     frame = pd.DataFrame(
         {
             "line": calls["line"],
             "dir": calls["dir"],
             "pattern": calls["line"] + " " + calls["dir"] + " " + calls["reg"],
-            "trip": number,
-            "seq0": calls.groupby("trip").cumcount(),
-            "calls": calls.groupby("trip")["seq"].transform("size"),
+            "trip": calls["trip"],
             "stop": calls["stop_id"],
-            "visit": calls.groupby(["trip", "stop_id"]).cumcount(),
             "arrived": calls["time"],
             "left": calls["time"],
             "time": calls["time"],
@@ -106,10 +108,47 @@ def recorded_day(raw: Path, tables: Tables, day_type: str) -> RecordedDay:
             "load": calls["load_before"] + calls["board"] - calls["alight"],
         }
     )
-    last = frame["seq0"] == frame["calls"] - 1
-    frame.loc[last, ["left", "load"]] = np.nan
-    frame.loc[frame["seq0"] == 0, "arrived"] = np.nan
-    return RecordedDay(stated, frame.reset_index(drop=True), day.fares)
+    return RecordedDay(stated, _numbered(frame), day.fares)
+
+
+def _day_of_csv(folder: Path, tables: Tables, stated: str) -> RecordedDay:
+    """Return the recorded day of a date in calls.csv, as `recorded_day` does."""
+    calls, _ = read_calls(folder, read_lines(folder), Counter())
+    calls = calls[(calls["date"] == stated) & calls["line"].isin(tables.patterns["line"])]
+    if calls.empty:
+        raise HeadwayError(
+            f"--records: {folder / 'calls.csv'} has no trip of the scenario's lines on {stated}, its "
+            "timetable's day; give the folder that the scenario was made from"
+        )
+    gained = calls["boardings"] - calls["alightings"]
+    frame = pd.DataFrame(
+        {
+            "line": calls["line"],
+            "dir": calls["direction"],
+            "pattern": calls["pattern"],
+            "trip": calls["run"],
+            "stop": calls["stop"],
+            "arrived": calls["arrival"],
+            "left": calls["departure"],
+            "time": calls["time"],
+            "boarded": calls["boardings"],
+            "load": gained.groupby(calls["run"]).cumsum(),
+        }
+    )
+    return RecordedDay(stated, _numbered(frame), has_counts(calls))
+
+
+def _numbered(calls: pd.DataFrame) -> pd.DataFrame:
+    """Return recorded calls, in driving order, with `seq0`, `calls`, `visit` and the trips' ends marked."""
+    by_trip = calls.groupby("trip")
+    day = calls.assign(
+        seq0=by_trip.cumcount(),
+        calls=by_trip["stop"].transform("size"),
+        visit=calls.groupby(["trip", "stop"]).cumcount(),
+    )
+    day.loc[day["seq0"] == day["calls"] - 1, ["left", "load"]] = np.nan
+    day.loc[day["seq0"] == 0, "arrived"] = np.nan
+    return day.reset_index(drop=True)
 
 
 def _timetable_date(tables: Tables, day_type: str) -> str:

@@ -63,10 +63,10 @@ def compare_replay(
     """Return the statistics of `days` replayed days, with MOVE at every decision, and the measured ones.
 
     They are those of `config.day_type`. Trips and boardings are measured on the scenario's tables; synthetic
-    boardings are left out. Headways along the route and loads (if it has fares) are measured on the recorded
-    day in `records`. Without `records`, those of the whole city are used if the tables are SUNT's, else they
-    are left out; for an extract of few lines they are not judged. The hours of `config` are replaced by
-    `HOURS`. `after_day` is called after each simulated day.
+    boardings are left out. Headways along the route, dwells and loads (if recorded) are measured on the
+    recorded day in `records`. Without `records`, those of the whole city are used if the tables are SUNT's,
+    else they are left out; for an extract of few lines they are not judged. The hours of `config` are
+    replaced by `HOURS`. `after_day` is called after each simulated day.
 
     Raises HeadwayError for tables that are synthetic or scheduled, and the errors of `prepare_replay`,
     `simulated_days`, `recorded_day` and `trip_statistics.finished_trip_statistics`.
@@ -74,7 +74,7 @@ def compare_replay(
     if made_up := _made_up(tables):
         raise HeadwayError(
             f"SCENARIO: {made_up}, nothing was measured there; give a scenario of recorded trips, "
-            "such as headway data sunt writes"
+            "as headway data sunt and, from calls.csv, headway data csv write"
         )
     config = replace(config, start_hour=HOURS[0], end_hour=HOURS[1])
     prepared = prepare_replay(config, tables)
@@ -89,6 +89,7 @@ def compare_replay(
             {
                 **day,
                 **trip_statistics.headway_statistics(calls),
+                **trip_statistics.dwell_statistics(calls),
                 **trip_statistics.passenger_statistics(calls),
             }
         )
@@ -181,7 +182,7 @@ def _table_statistics(tables: Tables, config: BusConfig) -> dict[str, tuple[floa
 def _record_statistics(records: Path, tables: Tables, day_type: str) -> dict[str, tuple[float, str]]:
     """Return the statistics of the recorded day; loads only if it has fares."""
     day = recorded_day(records, tables, day_type)
-    values = trip_statistics.headway_statistics(day.calls)
+    values = trip_statistics.headway_statistics(day.calls) | trip_statistics.dwell_statistics(day.calls)
     if day.fares:
         loads = trip_statistics.passenger_statistics(day.calls)
         values |= {name: value for name, value in loads.items() if name != trip_statistics.BOARDINGS}

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from headway_envs.bus.realism.trip_statistics import (
     BOARDINGS,
+    DWELL,
     FIFTHS,
     FIRST_CV,
     LAST_CV,
@@ -87,6 +88,7 @@ TOLERANCES: Mapping[str, Tolerance] = {
     TRIP_P95: Tolerance(0.10, share=True),
     TRIP_SPREAD: Tolerance(0.15, share=True),
     **{speed_name(hour): Tolerance(0.10, share=True) for hour in SPEED_HOURS},
+    DWELL: Tolerance(0.15, share=True),
     BOARDINGS: Tolerance(0.05, share=True),
     LOAD_P50: Tolerance(0.15, share=True),
     LOAD_P95: Tolerance(0.15, share=True),

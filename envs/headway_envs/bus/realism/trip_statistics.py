@@ -44,6 +44,7 @@ def speed_name(hour: int) -> str:
 FIRST_CV, LAST_CV = "headway CV, first call", "headway CV, last call"
 TRIP_MEAN, TRIP_P5, TRIP_P50, TRIP_P95 = "trip mean, min", "trip p5, min", "trip p50, min", "trip p95, min"
 TRIP_SPREAD = "trip time sd within 2 h, %"
+DWELL = "dwell mean, s"
 BOARDINGS = "boardings per day"
 LOAD_P50, LOAD_P95 = "load p50", "load p95"
 RIDE = "ride length, stops"
@@ -60,6 +61,12 @@ def headway_statistics(calls: pd.DataFrame) -> dict[str, float]:
         found[cv_name(place)] = _cv(own)
         found[bunched_name(place)] = float((own["ratio"] < BUNCHED).mean()) if len(own) else np.nan
     return found
+
+
+def dwell_statistics(calls: pd.DataFrame) -> dict[str, float]:
+    """Return the mean dwell between the first and the last call; NaN if arrivals equal all departures."""
+    dwell = (calls["left"] - calls["arrived"]).dropna()
+    return {DWELL: float(dwell.mean()) if dwell.any() else np.nan}
 
 
 def finished_trip_statistics(trips: pd.DataFrame) -> dict[str, float]:

@@ -4,6 +4,7 @@ EXAMPLES = """\
 examples:
   headway data synthetic towns/city --size city --seed 1
   headway data gtfs feed.zip towns/mine
+  headway data csv counts towns/mine
   headway data sunt ../sunt_raw towns/salvador
   headway data describe towns/mine
   headway data plot towns/mine --output map.png

@@ -21,14 +21,16 @@ EXAMPLES = """\
 examples:
   headway data realism towns/salvador
   headway data realism towns/salvador --day-type sunday --records ../sunt_raw
+  headway data realism towns/mine --records counts
   headway data realism towns/salvador --days 5 --format csv > realism.csv
   headway data realism towns/salvador env.args.boarding_s=5.9
 
 The scenario's timetable is replayed from 4 to 26 h: every trip departs at its recorded time, without added
 noise, and buses always move. Each statistic is the mean over simulated days, beside the measured value; it
 holds if their difference is within the tolerance. Trips and boardings are measured in the scenario's own
-tables; headways along the route and loads in SUNT's trip records of its lines (--records) or, for scenarios
-imported from SUNT, in those of the whole city, which are not used to judge an extract of a few lines.
+tables; headways along the route, dwells and loads in the records of its lines (--records: SUNT's, or the
+calls.csv of `headway data csv`) or, for scenarios imported from SUNT, in those of the whole city, which are
+not used to judge an extract of a few lines.
 Headways are divided by the mean headway of the two-hour period, as is usual for frequent service; CV is their
 coefficient of variation, and headways below a quarter of the mean count as bunched. Built-in scenarios have
 no recorded trips to compare.
@@ -48,7 +50,7 @@ _COLUMNS = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the scenario, the days and the records."""
     parser.add_argument(
-        "scenario", metavar="SCENARIO", help="folder with recorded trips, as `headway data sunt` writes them"
+        "scenario", metavar="SCENARIO", help="folder with recorded trips, of `headway data sunt` or csv"
     )
     parser.add_argument(
         "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="env.args.* of the simulation"
@@ -58,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--days", type=int, default=20, help="days to simulate (default: 20)")
     parser.add_argument(
-        "--records", metavar="RAW", help="folder that holds SUNT's files od-*.parquet at any depth"
+        "--records", metavar="RAW", help="folder of calls.csv, or of SUNT's files od-*.parquet"
     )
     parser.add_argument("--format", choices=("text", "csv"), default="text", help="output format")
 
@@ -76,7 +78,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.scenario not in SCENARIOS and not Path(arguments.scenario).is_dir():
         raise HeadwayError(
             f"there is no folder {arguments.scenario}: give one with recorded trips, as `headway data sunt` "
-            "writes them"
+            "or csv writes them"
         )
     tables = scenario_tables(arguments.scenario, 0)
     day = day_type_of(tables, arguments.day_type)

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -20,7 +21,7 @@ from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 
 PROJECT = Path(__file__).parents[4]
-PARTS = ("synthetic", "gtfs", "sunt", "describe", "plot", "realism")
+PARTS = ("synthetic", "gtfs", "csv", "sunt", "describe", "plot", "realism")
 HEAVY = ("pandas", "pyarrow", "numba", "scipy", "matplotlib")
 
 
@@ -52,6 +53,7 @@ def test_every_help_shows_examples_and_imports_nothing_heavy() -> None:
         (["gtfs", "nowhere.zip", "x"], ["FEED: nowhere.zip does not exist; give a GTFS feed"]),
         (["gtfs", "f", "x", "--weekday", "soon"], ["--weekday: 'soon' is not a date YYYY-MM-DD"]),
         (["gtfs", "f", "x", "--boardings-per-trip", "0"], ["--boardings-per-trip must be above 0"]),
+        (["csv", "nowhere", "x"], ["FOLDER: nowhere is not a folder; give the one that holds stops.csv"]),
         (["sunt", "nowhere", "x"], ["RAW: nowhere is not a folder"]),
         (["sunt", "f", "x", "--sunday", "0"], ["--sunday: '0' is not a date"]),
         (["describe", "corridr"], ["did you mean 'corridor'?"]),
@@ -102,6 +104,27 @@ def test_a_written_scenario_is_the_built_in_one(
     there, here = prepare(BusConfig(scenario=str(out))), prepare(BusConfig(scenario_seed=5))
     for mine, theirs in zip(here.network, there.network, strict=True):
         np.testing.assert_array_equal(mine, theirs)
+
+
+def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
+) -> None:
+    folder, out = tmp_path / "counts", tmp_path / "mine"
+    folder.mkdir()
+    page = (PROJECT / "docs" / "howto" / "scenario.md").read_text(encoding="utf-8")
+    for name, text in re.findall(r"`(\w+)\.csv`:\n\n```text\n(.*?)```", page, re.DOTALL):
+        if name != "calls":
+            (folder / f"{name}.csv").write_text(text, encoding="utf-8")
+    times = folder / "link_times.csv"
+    intact = times.read_text(encoding="utf-8")
+    times.write_text(intact.replace("165", "2:45"), encoding="utf-8")
+    line = refused("data", "csv", str(folder), str(out))
+    assert "link_times.csv, row 2, column mean_s: '2:45' is not a number; correct it" in line
+    assert not out.exists()
+    times.write_text(intact, encoding="utf-8")
+    assert run(["data", "csv", str(folder), str(out)]) == 0
+    assert "1 line, 2 patterns, 3 stops, 4 links\nweekday: 8 trips" in capsys.readouterr().out
+    assert prepare(BusConfig(scenario=str(out))).network.pattern_calls.tolist() == [0, 3, 6]
 
 
 @pytest.mark.parametrize(
