@@ -58,9 +58,10 @@ def cell_parameters(experiment: "Experiment") -> dict[str, Any]:
 def _start(mapping: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a run starts from, without keys that have no effect; empty for random parameters."""
     start = mapping.get("start") or {}
+    anchored = {key: start[key] for key in ("kl_coeff", "critic_iterations") if start.get(key)}
     if start.get("rule"):
-        return {key: start[key] for key in ("rule", "env_steps")}
-    return {"run": start["run"]} if start.get("run") else {}
+        return {key: start[key] for key in ("rule", "env_steps")} | anchored
+    return {"run": start["run"]} | anchored if start.get("run") else {}
 
 
 def flat(mapping: Mapping[str, Any], path: str = "", with_empty: bool = False) -> list[tuple[str, Any]]:

@@ -174,6 +174,14 @@ class StartConfig:
     """Run, by any unique part of its name, from whose newest checkpoint training starts: policies,
     normalisers and, with the same algorithm and shapes, critics. Optimisers and schedules start anew.
     null: none."""
+    kl_coeff: float = 0.0
+    """Coefficient of a penalty on the policies' loss, KL(start policy || policy) in the states that policies
+    visit, which keeps them near where they started; 0: none. It falls linearly to 0 at the end of training.
+    In this direction whatever the start policy does has to stay likely, as in imitation. In the other one
+    actions that it hardly takes would cost most: policies that imitate a rule would not explore."""
+    critic_iterations: int = 0
+    """Number of first iterations after the start in which only critics and normalisers learn: an untrained
+    critic would spoil a good policy."""
 
     def __post_init__(self) -> None:
         require_key(
@@ -185,6 +193,18 @@ class StartConfig:
             "env_steps",
             "applies to a rule: set start.rule too, or leave this out",
         )
+        for key in ("kl_coeff", "critic_iterations"):
+            require_value(self, key, getattr(self, key) >= 0, "must be at least 0")
+            require_key(
+                self.rule is not None or self.run is not None or getattr(self, key) == 0,
+                key,
+                "applies after a start: set start.rule or start.run too, or leave this out",
+            )
+
+    @property
+    def anchors(self) -> bool:
+        """Whether policies are kept near the start, by a penalty or by training the critic alone."""
+        return self.kl_coeff > 0 or self.critic_iterations > 0
 
 
 @dataclass(frozen=True)

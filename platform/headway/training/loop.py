@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from headway.config.experiment import ExperimentConfig
 from headway.contracts import (
+    AnchoredLearner,
     AsynchronousLearner,
     EnvSpec,
     HeadwayError,
@@ -138,11 +139,7 @@ class _Training:
         folders = zip(job.directories, job.gate_paths, strict=True)
         self.logs = [RunLog(Path(directory), gate) for directory, gate in folders]
         self.learner = job.make_learner(job.algo_config, job.spec, job.seeds, job.config.device)
-        if not ((job.plan.rule is None and job.parent is None) or isinstance(self.learner, StartingLearner)):
-            raise HeadwayError(
-                f"the entry of algo={job.config.algo.get('name')} has starts=True, but its learner is not a "
-                "headway.contracts.StartingLearner; add the missing methods, or leave out start"
-            )
+        _require_start(job, self.learner)
         self.backend, self.mode = _open_mode(job, self.learner, lambda line: report(Notice(line)))
         self.best = BestPolicies(len(job.seeds))
         self.iteration = 0
@@ -346,6 +343,22 @@ class _Training:
         return self.own_usage.read() + self.backend.usage()
 
 
+def _require_start(job: TrainingJob, learner: Learner) -> None:
+    """Raise HeadwayError if the learner lacks a method that the start needs."""
+    starts = job.plan.rule is not None or job.parent is not None
+    entry = f"the entry of algo={job.config.algo.get('name')}"
+    if starts and not isinstance(learner, StartingLearner):
+        raise HeadwayError(
+            f"{entry} has starts=True, but its learner is not a headway.contracts.StartingLearner; add the "
+            "missing methods, or leave out start"
+        )
+    if job.config.start.anchors and not isinstance(learner, AnchoredLearner):
+        raise HeadwayError(
+            f"{entry} allows start.kl_coeff, but its learner is not a headway.contracts.AnchoredLearner; add "
+            "its method `anchor`, or leave out start.kl_coeff and start.critic_iterations"
+        )
+
+
 def _open_mode(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -> tuple[Backend, Mode]:
     """Start the workers; return the backend and the mode in which it works with the learner.
 
@@ -354,7 +367,9 @@ def _open_mode(job: TrainingJob, learner: Learner, notify: Callable[[str], None]
     backend, plan = job.config.backend, job.plan
     if job.make_contributor is None:
         collector = open_collector(backend, plan, job.workers, notify)
-        return collector, SynchronousMode(learner, collector, plan.rule_iterations)
+        config = job.config
+        mode = SynchronousMode(learner, collector, plan.rule_iterations, config.start, config.iterations)
+        return collector, mode
     if not isinstance(learner, AsynchronousLearner):
         raise HeadwayError(
             f"the entry of algo={job.config.algo.get('name')} has a contributor, but its learner is not "

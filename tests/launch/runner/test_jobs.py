@@ -272,11 +272,39 @@ def test_rules_that_training_cannot_start_from_are_refused(words: list[str], lin
             "of 9000 leaves nothing of env_steps=9000",
         ),
         (["start.env_steps=10"], "start.env_steps applies to a rule: set start.rule too, or leave this out"),
+        (["start.kl_coeff=1"], "start.kl_coeff applies after a start: set start.rule or start.run too"),
+        (["start.critic_iterations=2"], "start.critic_iterations applies after a start: set start.rule"),
+        (["start.rule=optimal", "start.kl_coeff=-1"], "start.kl_coeff must be at least 0, not -1"),
     ],
 )
 def test_budgets_of_a_rule_that_leave_nothing_to_learn_are_refused(words: list[str], line: str) -> None:
     with pytest.raises(HeadwayError, match=line):
         compose(["env=trivial", "algo=ippo", "env_steps=9000", *words])
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["algo=madqn", "start.critic_iterations=2"], "madqn: start.kl_coeff and .* are for on-policy alg"),
+        (["algo=madqn", "start.kl_coeff=0.1"], "madqn: start.kl_coeff and .* such as algo=ippo"),
+        (
+            ["algo=itrpo", "start.kl_coeff=0.1"],
+            "itrpo: .* algo.update=trpo bounds its steps by itself; lower",
+        ),
+        (["algo=maacktr", "start.kl_coeff=0.1"], "maacktr: .* algo.update=kfac bounds its steps by itself"),
+        (["algo=ippo", "algo.model.core=gru", "start.kl_coeff=0.1"], "ippo: .* is for feedforward policies"),
+    ],
+)
+def test_algorithms_that_cannot_stay_near_a_start_are_refused(words: list[str], line: str) -> None:
+    with pytest.raises(HeadwayError, match=line):
+        plan_jobs(compose(["env=trivial", "start.rule=optimal", *words]))
+
+
+@pytest.mark.parametrize(
+    "words", [["algo=itrpo"], ["algo=ippo", "algo.model.core=gru"], ["algo=ippo", "start.kl_coeff=0.1"]]
+)
+def test_a_critic_can_learn_first_with_every_on_policy_algorithm(words: list[str]) -> None:
+    plan_jobs(compose(["env=trivial", "start.rule=optimal", "start.critic_iterations=2", *words]))
 
 
 def test_a_start_from_a_rule_is_a_cell_of_its_own() -> None:
@@ -285,6 +313,9 @@ def test_a_start_from_a_rule_is_a_cell_of_its_own() -> None:
     assert identity(full_mapping(bare, (0,))) != identity(full_mapping(started, (0,)))
     keys = {"start.rule": "optimal", "start.env_steps": 50_000}
     assert cell_parameters(started) == {**cell_parameters(bare), **keys}
+    held = compose(["env=trivial", "algo=ippo", "start.rule=optimal", "start.kl_coeff=0.1"])
+    assert identity(full_mapping(held, (0,))) != identity(full_mapping(started, (0,)))
+    assert cell_parameters(held) == {**cell_parameters(started), "start.kl_coeff": 0.1}
     # Runs stored before the key existed are the same runs.
     before = {key: value for key, value in full_mapping(bare, (0,)).items() if key != "start"}
     assert identity(before) == identity(full_mapping(bare, (0,)))
