@@ -52,6 +52,8 @@ def cell_parameters(experiment: "Experiment") -> dict[str, Any]:
     kept = {key: whole[key] for key in ("env_steps", "device", "env", "algo", "rollout")}
     if start := _start(whole):
         kept["start"] = start
+    if whole["stages"]:
+        kept["stages"] = whole["stages"]
     return dict(flat(kept))
 
 
@@ -83,6 +85,8 @@ def identity(mapping: Mapping[str, Any]) -> str:
     kept = {name: mapping.get(name) for name in _IDENTITY_KEYS}
     if start := _start(mapping):
         kept["start"] = start
+    if stages := mapping.get("stages"):
+        kept["stages"] = stages
     evaluation = mapping.get("evaluation") or {}
     kept["evaluation"] = {name: value for name, value in evaluation.items() if name != "rules"}
     stack = mapping.get("backend", {}).get("stack", 1)
