@@ -32,6 +32,9 @@ class Component:
     includes `config`. A `Lazy` if its module imports torch."""
     rollout: Mapping[str, int] = field(default_factory=dict)
     """For updates: defaults of keys of `rollout`, such as `{"steps": 16}`."""
+    penalises: bool = False
+    """For updates: whether `improve` adds the penalty on the distance from `rows.start`, if there is one.
+    A `GradientUpdate` does."""
 
 
 ONE_STEP = {"steps": 16}
@@ -43,12 +46,14 @@ UPDATES = {
         "Epochs of minibatch steps on a clipped surrogate.",
         PPOConfig,
         Lazy("headway_algos.on_policy.updates.gradient_update:ppo_update"),
+        penalises=True,
     ),
     "a2c": Component(
         "One gradient step on the whole batch.",
         A2CConfig,
         Lazy("headway_algos.on_policy.updates.gradient_update:a2c_update"),
         ONE_STEP,
+        penalises=True,
     ),
     "trpo": Component(
         "One natural-gradient step within a bound on the KL divergence.",

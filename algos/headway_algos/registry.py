@@ -7,6 +7,7 @@ from typing import Any
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, Lazy
 from headway_algos import records
 from headway_algos.agent_id import impossible_ids
+from headway_algos.components import component
 from headway_algos.config import AlgoConfig, SimultaneousConfig
 from headway_algos.off_policy_entry import replay_entry
 from headway_algos.recipes import KERNELS, Recipe, recipes
@@ -64,6 +65,22 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
     return None
 
 
+def _refuses_anchor(config: AlgoConfig, kl_coeff: float) -> str | None:
+    if kl_coeff == 0:
+        return None
+    if not component("update", config.update).penalises:
+        return (
+            f"start.kl_coeff is a penalty on a loss, and algo.update={config.update} bounds its steps by "
+            "itself; lower algo.kl_bound, or leave start.kl_coeff out"
+        )
+    if config.model.core != "none":
+        return (
+            "start.kl_coeff is for feedforward policies, and the start policy of algo.model.core="
+            f"{config.model.core} would need a hidden state of its own; use core=none, or leave it out"
+        )
+    return None
+
+
 def _refuses_budget(config: AlgoConfig, iterations: int) -> str | None:
     if not isinstance(config, SimultaneousConfig):
         return None
@@ -95,6 +112,7 @@ def entry(recipe: Recipe) -> AlgoEntry:
         _refuses,
         refuses_budget=_refuses_budget,
         starts=recipe.contributor is None,
+        refuses_anchor=_refuses_anchor,
         contributor=recipe.contributor,
         preload=recipe.preload,
         kernels=KERNELS,

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from headway_algos.batches.old_policies import OldPolicies
 from headway_algos.batches.sequences import Sequences
 
 
@@ -26,6 +27,8 @@ class PolicyBatch:
     """(P, B): the agent was alive and its action was used."""
     sequences: Sequences | None = None
     """Order of the rows in time, for recurrent policies."""
+    start: OldPolicies | None = None
+    """Policies with which training started, if a penalty ties the new ones to them."""
 
     def narrow(self, policies: Tensor) -> Self:
         """Return the rows of `policies` (n,)."""
@@ -36,6 +39,7 @@ class PolicyBatch:
             self.log_probs[policies],
             self.selected[policies.cpu().numpy()],
             None if self.sequences is None else self.sequences.narrow(policies),
+            None if self.start is None else self.start.narrow(policies),
         )
 
 

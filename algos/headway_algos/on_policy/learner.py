@@ -18,6 +18,7 @@ from headway_algos.batches.divergence import raise_if_critic_diverged, raise_if_
 from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import mean_per_replica
 from headway_algos.batches.nested_states import replica_state, same_shapes, trained_state
+from headway_algos.batches.old_policies import OldPolicies
 from headway_algos.batches.policy_batch import PolicyBatch, standardise
 from headway_algos.batches.policy_stack import PolicyStack
 from headway_algos.components import component
@@ -59,6 +60,11 @@ def simultaneous(
     return update.improve(rows, advantages, generators)
 
 
+def _unchanged(rows: PolicyBatch, advantages: Tensor, iteration: int) -> dict[str, Tensor]:
+    """Leave the policies as they are."""
+    return {}
+
+
 class OnPolicyLearner(PolicyStack):
     """A `headway.contracts.Learner` composed of a critic, an update and an order."""
 
@@ -91,6 +97,9 @@ class OnPolicyLearner(PolicyStack):
         acting = acting_policy(replace(config, agent_id=False), spec)
         self.behaviour = BehaviourPolicy(config, self.actor, acting, self.layout)
         self.rule_decisions = RuleDecisions(len(seeds), policies)
+        self.start_actor: Actor | None = None
+        """Policies with which training started, while a penalty ties the new ones to them."""
+        self.kl_coeff, self.critic_only = 0.0, False
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
         """Return the actor's tensors and normaliser, as named by the acting policy."""
@@ -104,11 +113,23 @@ class OnPolicyLearner(PolicyStack):
         share = self.step_scale * self.config.lr_factor(progress)
         self.policy_update.anneal(share)
         self.critic.anneal(share)
-        metrics = self._learn(trajectory, iteration, self._improve_policies)
+        improve = _unchanged if self.critic_only else partial(self._improve_policies, trajectory)
+        metrics = self._learn(trajectory, iteration, improve)
         # The running statistics apply from the next iteration on.
         self.include_observations(self.actor.moments, trajectory)
         raise_if_diverged(self, self.acting_parameters(), f"{self.unit} {iteration}")
         return metrics
+
+    def anchor(self, kl_coeff: float, critic_only: bool) -> None:
+        """Implement `headway.contracts.AnchoredLearner.anchor`."""
+        self.kl_coeff, self.critic_only = kl_coeff, critic_only
+        if kl_coeff > 0 and self.start_actor is None:
+            self.start_actor = self._copy_of_actor()
+
+    def _copy_of_actor(self) -> Actor:
+        return self.actor.narrow(
+            torch.arange(len(self.seeds) * self.grouping.num_policies, device=self.device)
+        )
 
     def imitate(
         self, trajectory: Trajectory, iteration: int, iterations: int
@@ -129,7 +150,7 @@ class OnPolicyLearner(PolicyStack):
     def _learn(
         self, trajectory: Trajectory, iteration: int, improve: Improve
     ) -> dict[str, NDArray[np.float64]]:
-        observations = self._observations(trajectory)
+        observations = self._observations(trajectory, self.actor)
         hidden_states = self._hidden_states(trajectory, observations)
         estimate = self.critic.estimate(
             trajectory, self.behaviour.with_hidden_states(hidden_states), iteration
@@ -160,12 +181,12 @@ class OnPolicyLearner(PolicyStack):
         spare = 1 if self.spec.teams else 0
         return trajectory.of_first_agents(int(used.max(initial=0)) + 1 + spare)
 
-    def _observations(self, trajectory: Trajectory) -> Tensor:
-        """Return normalised observations (P, B, D), as the networks saw them when acting."""
+    def _observations(self, trajectory: Trajectory, actor: Actor) -> Tensor:
+        """Return the observations (P, B, D) as an actor normalises them."""
         alive = trajectory.alive[:-1]
         observations = self.layout.rows(trajectory.observations[:-1], alive)
         if self.config.normalise_observations:
-            observations = self.actor.moments.normalised(observations)
+            observations = actor.moments.normalised(observations)
         return observations
 
     def _hidden_states(self, trajectory: Trajectory, observations: Tensor) -> HiddenStates | None:
@@ -199,7 +220,18 @@ class OnPolicyLearner(PolicyStack):
             else hidden_states.sequences(self.layout, self.config.model.sequence_length),
         )
 
-    def _improve_policies(self, rows: PolicyBatch, advantages: Tensor, iteration: int) -> dict[str, Tensor]:
+    def _start_policies(self, trajectory: Trajectory) -> OldPolicies | None:
+        """Return the start policies in the states of a trajectory; None if no penalty needs them."""
+        if self.start_actor is None or self.kl_coeff == 0:
+            return None
+        observations = self._observations(trajectory, self.start_actor)
+        coefficients = observations.new_full((len(observations),), self.kl_coeff)
+        return OldPolicies.of(self.start_actor, observations, None, coefficients, self.config.piece_samples)
+
+    def _improve_policies(
+        self, trajectory: Trajectory, rows: PolicyBatch, advantages: Tensor, iteration: int
+    ) -> dict[str, Tensor]:
+        rows = replace(rows, start=self._start_policies(trajectory))
         if self.config.normalise_advantages:
             advantages = standardise(advantages, torch.from_numpy(rows.selected).to(self.device))
         generators = self.generators("actor minibatch", iteration)
@@ -248,11 +280,12 @@ class OnPolicyLearner(PolicyStack):
         return []
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the states of policies, critic and update."""
+        """Return the states of policies, critic and update, and the policies that a penalty ties them to."""
         return {
             "actor": self.actor.state_dict(),
             "critic": self.critic.state_dict(),
             "policy_update": self.policy_update.state_dict(),
+            **({} if self.start_actor is None else {"start": self.start_actor.state_dict()}),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -260,3 +293,6 @@ class OnPolicyLearner(PolicyStack):
         self.actor.load_state_dict(state["actor"])
         self.critic.load_state_dict(state["critic"])
         self.policy_update.load_state_dict(state["policy_update"])
+        if "start" in state:
+            self.start_actor = self._copy_of_actor()
+            self.start_actor.load_state_dict(state["start"])

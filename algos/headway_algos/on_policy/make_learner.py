@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from headway.contracts import EnvSpec, Learner, StartingLearner
+from headway.contracts import AnchoredLearner, EnvSpec, Learner
 from headway_algos.batches.device import resolve_device
 from headway_algos.config import AlgoConfig, SimultaneousConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
@@ -18,7 +18,7 @@ def make_learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device
     return PerSeedLearner([_one(config, spec, (seed,), device) for seed in seeds])
 
 
-def _one(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> StartingLearner:
+def _one(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> AnchoredLearner:
     if config.splits and isinstance(config, SimultaneousConfig):
         return SplitLearner(config, spec, seeds, device)
     return OnPolicyLearner(config, spec, seeds, device)

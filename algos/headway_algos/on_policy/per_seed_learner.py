@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from headway.contracts import LearnerWithReplay, StartingLearner, Trajectory
+from headway.contracts import AnchoredLearner, LearnerWithReplay, Trajectory
 from headway_algos.batches.nested_states import map_tensors
 
 Learn = Callable[[Trajectory, int, Any], dict[str, NDArray[np.float64]]]
@@ -25,7 +25,7 @@ class PerSeedLearner:
     States and acting parameters have the layout of one learner of R seeds: a leading axis of R x K policies.
     """
 
-    def __init__(self, learners: Sequence[StartingLearner]) -> None:
+    def __init__(self, learners: Sequence[AnchoredLearner]) -> None:
         """`learners`: one per seed, in the order of the stack."""
         self.learners = tuple(learners)
 
@@ -45,6 +45,11 @@ class PerSeedLearner:
     ) -> dict[str, NDArray[np.float64]]:
         """Let each learner imitate the actions of its own E copies; return their metrics, (R,) each."""
         return self._learn([learner.imitate for learner in self.learners], trajectory, iteration, iterations)
+
+    def anchor(self, kl_coeff: float, critic_only: bool) -> None:
+        """Tell each learner."""
+        for learner in self.learners:
+            learner.anchor(kl_coeff, critic_only)
 
     def _learn(
         self, ways: Sequence[Learn], trajectory: Trajectory, iteration: int, when: float

@@ -55,6 +55,11 @@ class SplitLearner:
             self.is_split = True
         return self.separate.update(trajectory, iteration, progress)
 
+    def anchor(self, kl_coeff: float, critic_only: bool) -> None:
+        """Tell both learners: at the split the separate ones take over the shared policy's start too."""
+        for learner in (self.shared, self.separate):
+            learner.anchor(kl_coeff, critic_only)
+
     def imitate(
         self, trajectory: Trajectory, iteration: int, iterations: int
     ) -> dict[str, NDArray[np.float64]]:

@@ -115,6 +115,9 @@ class MergeConfig:
     """1: 1 to 3 CAVs and 1 to 3 human drivers; 2: 2 to 4 of each; 3: 4 to 6 CAVs, 3 to 5 human drivers."""
     cavs: int | None = None
     """Number of CAVs in every episode; null: drawn, by density."""
+    max_density: int | None = None
+    """Density whose largest numbers of vehicles are those of agents and of vehicles in the state, so that
+    environments of different densities fit the same networks; null: `density`."""
     preset: Literal["clean", "paper"] = "clean"
     """`clean`: the dynamics of highway-env 1.12.1, tested against it, with truncation at the time limit and
     action masks; `paper`: the older dynamics and episode ends of the study, for which no reference
@@ -127,6 +130,13 @@ class MergeConfig:
 
     def __post_init__(self) -> None:
         require_value(self, "density", self.density in CAVS, "must be 1, 2 or 3")
+        largest = self.max_density
+        require_value(
+            self,
+            "max_density",
+            largest is None or (largest in CAVS and largest >= self.density),
+            "must be null, or 1, 2 or 3 and at least density",
+        )
         require_value(self, "preset", self.preset in PRESETS, "must be clean or paper")
         require_value(
             self,
@@ -145,6 +155,13 @@ class MergeConfig:
     def hdv_range(self) -> tuple[int, int]:
         """Minimum and maximum number of HDVs per episode."""
         return HDVS[self.density]
+
+    @property
+    def slots(self) -> tuple[int, int]:
+        """Maximum numbers of CAVs and of HDVs for which there is room."""
+        density = self.density if self.max_density is None else self.max_density
+        cavs = self.cav_range[1] if self.max_density is None else max(self.cav_range[1], CAVS[density][1])
+        return cavs, HDVS[density][1]
 
     @property
     def dynamics(self) -> Dynamics:

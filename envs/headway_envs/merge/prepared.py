@@ -27,12 +27,12 @@ class Prepared:
     @property
     def agents(self) -> tuple[str, ...]:
         """Names of the N slots."""
-        return tuple(f"cav_{n}" for n in range(self.config.cav_range[1]))
+        return tuple(f"cav_{n}" for n in range(self.config.slots[0]))
 
     @property
     def vehicles(self) -> int:
-        """Maximum number of CAVs and HDVs in an episode."""
-        return self.config.cav_range[1] + self.config.hdv_range[1]
+        """Maximum number of CAVs and HDVs for which there is room."""
+        return sum(self.config.slots)
 
     @property
     def settings(self) -> NDArray[Any]:

@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,8 @@ _LARGE = (
     "{} has observations of {:,} numbers, and all networks are fully connected, without convolutions; images "
     "can be made smaller by wrappers, such as color_reduction_v0 and resize_v1 (`headway list wrappers`)"
 )
+_MAY_DIFFER = ("shared_reward", "shared_in_groups", "snapshots")
+"""Parts of a specification in which the training environment may differ from that of evaluation."""
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
 
@@ -64,10 +67,15 @@ class PreparedEnv:
     """Constructor and rules of the evaluation environment."""
     prepared: Any
     """Data that all copies of the evaluation environment share: the result of `EnvEntry.prepare`."""
-    training: Any
-    """The shared data of the training environment."""
+    stages: tuple[Any, ...]
+    """The shared data of the training environment of each stage, of which there is one without `stages`."""
     spec: EnvSpec
-    """Spec of the training environment."""
+    """Spec of the training environments."""
+
+    @property
+    def training(self) -> Any:  # noqa: ANN401 - opaque
+        """The shared data of the training environment, in the first stage."""
+        return self.stages[0]
 
 
 @dataclass(frozen=True)
@@ -80,12 +88,18 @@ class Experiment:
     training_env: EnvEntry
     """Training environment, which includes the wrappers that only change rewards."""
     env_config: Any
-    training_env_config: Any
-    """Config of the training environment: `env.training_args` merged over `env.args`."""
+    training_env_configs: tuple[Any, ...]
+    """Config of the training environment of each stage: its `training_args` merged over
+    `env.training_args`, and these over `env.args`."""
     env_mapping: Mapping[str, Any]
     """Keys of `env` other than `id` and `args`, with defaults written out."""
     algo: AlgoEntry
     algo_config: Any
+
+    @property
+    def training_env_config(self) -> Any:  # noqa: ANN401 - any record
+        """Config of the training environment, in the first stage."""
+        return self.training_env_configs[0]
 
     @property
     def algo_name(self) -> str:
@@ -131,7 +145,7 @@ class Experiment:
     @property
     def _environment_key(self) -> str:
         """Key that is equal for experiments with the same environment, arguments, wrappers and rules."""
-        args = [plain(self.env_config), plain(self.training_env_config)]
+        args = [plain(self.env_config), plain(self.training_env_configs)]
         return json.dumps(
             [self.config.env.id, self.env_mapping, args, self.rules], sort_keys=True, default=str
         )
@@ -145,26 +159,16 @@ class Experiment:
     @prints_to_stderr()
     def _prepare_environment(self) -> PreparedEnv:
         rules = [self._rule(name) for name in self.rules]
-        prepared = training = self.env.prepare(self.env_config)
-        spec = self._spec(prepared)
-        if self.training_env is not self.env or self.training_env_config != self.env_config:
-            prepare_variant = self.training_env.prepare_variant
-            if prepare_variant is None:
-                training = self.training_env.prepare(self.training_env_config)
-            else:
-                training = prepare_variant(self.training_env_config, prepared)
-            evaluated, spec = spec, self._spec(training)
-            allowed = replace(
-                evaluated,
-                shared_reward=spec.shared_reward,
-                shared_in_groups=spec.shared_in_groups,
-                snapshots=spec.snapshots,
-            )
-            if allowed != spec:
-                raise HeadwayError(
-                    "env.training_args may change rewards and dynamics, not observations, actions or "
-                    "metrics; set such arguments in env.args"
-                )
+        prepared = self.env.prepare(self.env_config)
+        evaluated = spec = self._spec(prepared)
+        stages: list[Any] = []
+        for stage, config in enumerate(self.training_env_configs):
+            key = f"stages[{stage}].training_args" if self.config.stages else "env.training_args"
+            stages.append(self._training_data(config, prepared))
+            own = evaluated if stages[-1] is prepared else self._spec(stages[-1])
+            spec = own if stage == 0 else spec
+            _require_alike(key, own, evaluated, "evaluation", _MAY_DIFFER)
+            _require_alike(key, own, spec, "stages[0]")
         for rule in rules:
             try:
                 rule.make(prepared)
@@ -174,13 +178,42 @@ class Experiment:
         large = [_LARGE.format(self.config.env.id, spec.observation_size)] * (
             spec.observation_size > _LARGE_OBSERVATION
         )
-        for line in dict.fromkeys((*notices_of(prepared), *notices_of(training), *large)):
+        for line in dict.fromkeys((*notices_of(prepared), *chain(*map(notices_of, stages)), *large)):
             print_line(f"headway: {line}")
-        return PreparedEnv(self.env, prepared, training, spec)
+        return PreparedEnv(self.env, prepared, tuple(stages), spec)
+
+    def _training_data(self, config: object, prepared: object) -> object:
+        """Return the shared data of a training environment: `prepared` if it is that of evaluation."""
+        if self.training_env is self.env and config == self.env_config:
+            return prepared
+        if self.training_env.prepare_variant is None:
+            return self.training_env.prepare(config)
+        return self.training_env.prepare_variant(config, prepared)
 
     def _spec(self, prepared: object) -> EnvSpec:
         with closing(self.env.make(prepared, 1)) as env:
             return env.spec
+
+
+def _require_alike(
+    key: str, spec: EnvSpec, other: EnvSpec, whose: str, may_differ: Sequence[str] = ()
+) -> None:
+    """Raise HeadwayError if arguments `key` give a spec that differs from that of another environment."""
+    names = [each.name for each in fields(EnvSpec) if each.name not in may_differ]
+    pairs = {name: (getattr(spec, name), getattr(other, name)) for name in names}
+    differing = {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+    if not differing:
+        return
+    shown = [
+        f"{len(a)} agents here and {len(b)}" if name == "agents" else f"{name} {a} here and {b}"
+        for name, (a, b) in differing.items()
+        if name not in ("observation_features", "metrics")
+    ]
+    what = f" ({', '.join(shown)} in {whose})" if shown else ""
+    raise HeadwayError(
+        f"{key} may change rewards and dynamics, not observations, actions or metrics{what}; set such "
+        f"arguments in {'env.args' if whose == 'evaluation' else 'env.training_args'}"
+    )
 
 
 def compose(overrides: Sequence[str]) -> Experiment:
@@ -261,7 +294,7 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     algo, algo_config = chosen_algo(build(ExperimentConfig, {"algo": values.get("algo", {})}).algo)
     if isinstance(rollout := values.get("rollout", {}), Mapping):
         values["rollout"] = {**algo.rollout(algo_config), **rollout}
-    config = build(ExperimentConfig, values)
+    config = build(ExperimentConfig, _with_budget(values))
     config = replace(config, env=replace(config.env, id=absolute_id(config.env.id)))
     if not _DEVICE.fullmatch(config.device):
         raise HeadwayError(f"device={config.device} is not a device; write auto, cpu, cuda or cuda:NUMBER")
@@ -270,18 +303,33 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     with prints_to_stderr():  # an environment's module may print
         env = chosen_env(config.env)
     training_args = _merged(config.env.args, config.env.training_args or {})
+    by_stage = {
+        f"stages[{place}].training_args": _merged(training_args, stage.training_args)
+        for place, stage in enumerate(config.stages)
+    }
     return Experiment(
         config=config,
         env=env.entry,
         training_env=env.training_entry,
         env_config=build(env.entry.config, config.env.args, "env.args", config.env.id),
-        training_env_config=build(
-            env.training_entry.config, training_args, "env.training_args", config.env.id
+        training_env_configs=tuple(
+            build(env.training_entry.config, args, key, config.env.id)
+            for key, args in (by_stage or {"env.training_args": training_args}).items()
         ),
         env_mapping=env.mapping,
         algo=algo,
         algo_config=algo_config,
     )
+
+
+def _with_budget(values: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a configuration with the sum of its stages' steps as `env_steps`, unless it has that key."""
+    stages = values.get("stages")
+    if "env_steps" in values or not isinstance(stages, Sequence):
+        return values
+    steps = [stage.get("env_steps") for stage in stages if isinstance(stage, Mapping)]
+    numbers = [each for each in steps if isinstance(each, int | float)]
+    return {**values, "env_steps": sum(numbers)} if numbers else values
 
 
 def _hydra_override(override: str, overrides: Sequence[str]) -> str:

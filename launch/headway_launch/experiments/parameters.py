@@ -52,15 +52,18 @@ def cell_parameters(experiment: "Experiment") -> dict[str, Any]:
     kept = {key: whole[key] for key in ("env_steps", "device", "env", "algo", "rollout")}
     if start := _start(whole):
         kept["start"] = start
+    if whole["stages"]:
+        kept["stages"] = whole["stages"]
     return dict(flat(kept))
 
 
 def _start(mapping: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a run starts from, without keys that have no effect; empty for random parameters."""
     start = mapping.get("start") or {}
+    anchored = {key: start[key] for key in ("kl_coeff", "critic_iterations") if start.get(key)}
     if start.get("rule"):
-        return {key: start[key] for key in ("rule", "env_steps")}
-    return {"run": start["run"]} if start.get("run") else {}
+        return {key: start[key] for key in ("rule", "env_steps")} | anchored
+    return {"run": start["run"]} | anchored if start.get("run") else {}
 
 
 def flat(mapping: Mapping[str, Any], path: str = "", with_empty: bool = False) -> list[tuple[str, Any]]:
@@ -82,6 +85,8 @@ def identity(mapping: Mapping[str, Any]) -> str:
     kept = {name: mapping.get(name) for name in _IDENTITY_KEYS}
     if start := _start(mapping):
         kept["start"] = start
+    if stages := mapping.get("stages"):
+        kept["stages"] = stages
     evaluation = mapping.get("evaluation") or {}
     kept["evaluation"] = {name: value for name, value in evaluation.items() if name != "rules"}
     stack = mapping.get("backend", {}).get("stack", 1)

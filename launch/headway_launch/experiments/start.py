@@ -80,6 +80,9 @@ def _require_start(experiment: Experiment, key: str) -> None:
             f"{key}: {experiment.algo_name} starts from random parameters only; use another algorithm, such "
             "as algo=ippo"
         )
+    start = experiment.config.start
+    if start.anchors and (line := experiment.algo.refuses_anchor(experiment.algo_config, start.kl_coeff)):
+        raise HeadwayError(f"{experiment.algo_name}: {line}")
 
 
 def _require_fitting(folder: Path, record: RunRecord, plan: RunPlan, policy: ActingPolicy) -> None:

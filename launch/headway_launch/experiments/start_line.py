@@ -1,4 +1,4 @@
-"""What the runs of a cell started from, in words, with what that cost and how good it was."""
+"""What the runs of a cell started from, and their stages, in words; with what the start cost and reached."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,19 +11,29 @@ from headway.store.parquet_log import read_rows
 from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import RunRecord, find_run, read_summary, rules_file
 from headway.wording import counted
+from headway_launch.experiments.parameters import flat
 
 
 def start_line(name: str, root: Path, directories: Sequence[Path], metric: str) -> str | None:
-    """Return a sentence on what a cell's runs started from; None if from random parameters.
+    """Return a sentence on what a cell's runs started from and on their stages; None without either.
 
     `name` is the cell's name, `root` the store and `directories` the runs' folders. Of a policy that imitated
     a rule, `metric`, such as `evaluation_greedy/return`, is given beside that of the rule.
     """
     config = read_configuration(directories[0])
-    start = config.get("start") or {}
+    start, parts = config.get("start") or {}, []
     if start.get("rule"):
-        return f"{name} {_from_rule(config, root, directories, metric)}"
-    return f"{name} {_from_run(root, start['run'])}" if start.get("run") else None
+        parts.append(_from_rule(config, root, directories, metric))
+    elif start.get("run"):
+        parts.append(_from_run(root, start["run"]))
+    if stages := config.get("stages"):
+        parts.append(f"was trained in stages: {', then '.join(map(_stage, stages))}")
+    return f"{name} {'; it '.join(parts)}" if parts else None
+
+
+def _stage(stage: Mapping[str, Any]) -> str:
+    settings = [f"{key}={value}" for key, value in flat(stage["training_args"])]
+    return f"{stage['env_steps']:,} steps{' with ' if settings else ''}{' and '.join(settings)}"
 
 
 def _from_rule(config: Mapping[str, Any], root: Path, directories: Sequence[Path], metric: str) -> str:

@@ -15,6 +15,7 @@ from headway_launch.report.elements import (
 from headway_launch.report.study_data import StudyData
 
 _COMPONENT = "reward_"
+_STAGES = "; vertical lines: the next stage of training begins"
 
 
 def curves_section(data: StudyData) -> Section:
@@ -26,9 +27,15 @@ def curves_section(data: StudyData) -> Section:
             "learning_curves",
             f"Learning curves: mean of the {data.mode} evaluation over seeds with the 95% interval of that "
             f"mean by Student's t, from {plots.FEWEST_SEEDS} seeds on; dashed lines: the rules on the same "
-            "episodes.",
+            f"episodes{_STAGES if any(data.stage_ends.values()) else ''}.",
             plots.learning_curves(
-                means, data.rules_beside_curves, label, data.styles, low=data.low, sign=data.sign
+                means,
+                data.rules_beside_curves,
+                label,
+                data.styles,
+                low=data.low,
+                sign=data.sign,
+                stage_ends=data.stage_ends,
             ),
         )
     ]

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -161,18 +162,34 @@ class StudyData:
     @cached_property
     def learned_from_another_reward(self) -> bool:
         """Whether training uses other rewards or dynamics than evaluation."""
-        envs = (configuration(row.directory)["env"] for row in self.runs.rows)
-        return any(env.get("training_args") or _reward_wrappers(env) for env in envs)
+        configs = [configuration(row.directory) for row in self.runs.rows]
+        return any(
+            config["env"].get("training_args") or config.get("stages") or _reward_wrappers(config["env"])
+            for config in configs
+        )
 
     def reward_groups(self, task: str) -> list[list[str]]:
         """Return the controllers of a task, grouped by the rewards and dynamics that they learn from."""
         groups: dict[str, list[str]] = {}
         for name, members in self.on(task).items():
-            env = configuration(members[0].directory)["env"]
+            config = configuration(members[0].directory)
+            env = config["env"]
             learned_from = {**dict(flat(env["args"])), **dict(flat(env.get("training_args") or {}))}
-            key = json.dumps([learned_from, _reward_wrappers(env)], sort_keys=True)
+            key = json.dumps([learned_from, config.get("stages"), _reward_wrappers(env)], sort_keys=True)
             groups.setdefault(key, []).append(name)
         return list(groups.values())
+
+    @cached_property
+    def stage_ends(self) -> dict[str, list[int]]:
+        """Environment steps after which another stage of training begins, by task, over all its cells."""
+        ends: dict[str, set[int]] = {}
+        for (task, _), members in self.cells.items():
+            config = configuration(members[0].directory)
+            steps = [stage["env_steps"] for stage in config.get("stages") or ()]
+            iteration = config["rollout"]["copies"] * config["rollout"]["steps"]
+            sums = accumulate(steps[:-1])
+            ends.setdefault(task, set()).update(-(-total // iteration) * iteration for total in sums)
+        return {task: sorted(found) for task, found in ends.items()}
 
     @cached_property
     def scores(self) -> pd.DataFrame:

@@ -65,6 +65,11 @@ class PlannedJob:
             seeds,
             environment.training,
         )
+        later = tuple(
+            replace(plan, training_prepared=data, stage=stage)
+            for stage, data in enumerate(environment.stages)
+            if stage > 0
+        )
         rule = start_rule(experiment, environment)
         plan = replace(plan, rule=rule, rule_iterations=config.rule_iterations)
         training = TrainingJob(
@@ -72,6 +77,7 @@ class PlannedJob:
             algo.learner,
             experiment.algo_config,
             replace(config, seed=seeds),
+            later=later,
             make_contributor=algo.contributor,
             contributor_preload=algo.preload,
         )
@@ -140,6 +146,11 @@ def new_jobs(
     if experiment.algo.contributor is None:
         config = within_processes(requested, environment.spec)
     else:
+        if len(environment.stages) > 1:
+            raise HeadwayError(
+                f"stages: the workers of {experiment.algo_name} do not wait for each other, so that stages "
+                "have no common end; use another algorithm, such as algo=ia2c"
+            )
         config = _one_worker_per_block(requested, environment.spec, experiment.algo_name)
         _print_workers(config.rollout, experiment.algo_name)
     stack, spec = config.backend.stack, environment.spec.for_policies

@@ -1,8 +1,10 @@
 """An experiment as frozen records. Every default of the platform is written here and nowhere else."""
 
 import re
+from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import accumulate, pairwise
 from typing import Any, Literal
 
 from headway.contracts.checks import require_key, require_value
@@ -174,6 +176,14 @@ class StartConfig:
     """Run, by any unique part of its name, from whose newest checkpoint training starts: policies,
     normalisers and, with the same algorithm and shapes, critics. Optimisers and schedules start anew.
     null: none."""
+    kl_coeff: float = 0.0
+    """Coefficient of a penalty on the policies' loss, KL(start policy || policy) in the states that policies
+    visit, which keeps them near where they started; 0: none. It falls linearly to 0 at the end of training.
+    In this direction whatever the start policy does has to stay likely, as in imitation. In the other one
+    actions that it hardly takes would cost most: policies that imitate a rule would not explore."""
+    critic_iterations: int = 0
+    """Number of first iterations after the start in which only critics and normalisers learn: an untrained
+    critic would spoil a good policy."""
 
     def __post_init__(self) -> None:
         require_key(
@@ -185,6 +195,31 @@ class StartConfig:
             "env_steps",
             "applies to a rule: set start.rule too, or leave this out",
         )
+        for key in ("kl_coeff", "critic_iterations"):
+            require_value(self, key, getattr(self, key) >= 0, "must be at least 0")
+            require_key(
+                self.rule is not None or self.run is not None or getattr(self, key) == 0,
+                key,
+                "applies after a start: set start.rule or start.run too, or leave this out",
+            )
+
+    @property
+    def anchors(self) -> bool:
+        """Whether policies are kept near the start, by a penalty or by training the critic alone."""
+        return self.kl_coeff > 0 or self.critic_iterations > 0
+
+
+@dataclass(frozen=True)
+class StageConfig:
+    """A part of training, in a training environment of its own."""
+
+    env_steps: int
+    """Environment steps per seed."""
+    training_args: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments that override `env.training_args` in this stage."""
+
+    def __post_init__(self) -> None:
+        require_value(self, "env_steps", self.env_steps >= 1, "must be at least 1")
 
 
 @dataclass(frozen=True)
@@ -278,7 +313,7 @@ class ExperimentConfig:
     """Training seeds: `7`, `0,1,2` or `0..49`."""
     env_steps: int = 100_000
     """Environment steps per seed (one step moves all agents of one copy), rounded up to whole iterations of
-    `rollout.copies` x `rollout.steps`."""
+    `rollout.copies` x `rollout.steps`. With `stages`, their sum."""
     device: str = "auto"
     """`cpu`, `cuda`, `cuda:NUMBER`, or `auto`: a GPU if there is one."""
     env: EnvConfig = field(default_factory=EnvConfig)
@@ -290,6 +325,11 @@ class ExperimentConfig:
     candidate: str = ""
     """Name of the search candidate, part of the names of its cells; set by `headway search`."""
     start: StartConfig = field(default_factory=StartConfig)
+    stages: tuple[StageConfig, ...] = ()
+    """Stages of training, such as a curriculum: `[{env_steps: 300_000, training_args: {density: 1}},
+    {env_steps: 700_000, training_args: {density: 3}}]`. In each, `training_args` override those of `env`, and
+    training goes on with the same policies, optimisers and normalisers. Evaluation stays on `env.args`. Each
+    ends with the iteration that reaches its last step. []: one stage, as `env` says."""
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
@@ -302,6 +342,19 @@ class ExperimentConfig:
         require_key(all(seed >= 0 for seed in self.seed), "seed", "must not be negative")
         require_key(len(set(self.seed)) == len(self.seed), "seed", "must hold each seed once")
         require_value(self, "env_steps", self.env_steps >= 1, "must be at least 1")
+        total = sum(stage.env_steps for stage in self.stages)
+        require_key(
+            not self.stages or self.env_steps == total,
+            "env_steps",
+            f"of {self.env_steps} is not the sum of the stages', {total}; leave it out",
+        )
+        lengths = [end - begin for begin, end in pairwise((0, *self.stage_ends))]
+        require_key(
+            all(lengths),
+            "stages",
+            "must each last an iteration or longer, of "
+            f"{self.rollout.copies * self.rollout.steps} steps (rollout.copies x rollout.steps)",
+        )
         require_key(
             self.rule_iterations < self.iterations,
             "start.env_steps",
@@ -309,11 +362,27 @@ class ExperimentConfig:
             f"rounded up to iterations of {self.rollout.copies * self.rollout.steps} steps (rollout.copies x "
             "rollout.steps); lower it, or raise env_steps",
         )
+        require_key(
+            self.rule_iterations <= self.stage_ends[0],
+            "start.env_steps",
+            f"of {self.start.env_steps} is more than the first stage has, in whose environment the rule "
+            "acts; lower it, or raise stages[0].env_steps",
+        )
 
     @property
     def iterations(self) -> int:
         """Iterations needed to reach `env_steps`, rounded up."""
         return self._iterations_of(self.env_steps)
+
+    @property
+    def stage_ends(self) -> tuple[int, ...]:
+        """Last iteration of each stage."""
+        sums = accumulate(stage.env_steps for stage in self.stages)
+        return tuple(map(self._iterations_of, sums)) or (self.iterations,)
+
+    def stage_after(self, iteration: int) -> int:
+        """Return the place of the stage in which training is after an iteration."""
+        return min(bisect_right(self.stage_ends, iteration), len(self.stage_ends) - 1)
 
     @property
     def rule_iterations(self) -> int:

@@ -219,9 +219,11 @@ def type_name(hint: Any) -> str:  # noqa: ANN401 - any annotation
         inner = type_name(arguments[0])
         if arguments[0] is Any:
             return "list"
-        return f"list of {inner}s" if inner in ("number", "whole number") else f"list of {inner}"
+        return f"list of {inner}s" if inner in ("number", "whole number", "mapping") else f"list of {inner}"
     if hint is NoneType:
         return "null"
+    if dataclasses.is_dataclass(hint):
+        return "mapping"
     names = {int: "whole number", float: "number", str: "text", bool: "true or false", Any: "anything"}
     return names.get(hint, getattr(hint, "__name__", str(hint)))
 

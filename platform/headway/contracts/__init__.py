@@ -34,6 +34,7 @@ from headway.contracts.environment import (
 from headway.contracts.errors import HeadwayError
 from headway.contracts.lazy import Lazy
 from headway.contracts.learner import (
+    AnchoredLearner,
     AsynchronousLearner,
     Contribution,
     Contributor,
@@ -54,6 +55,7 @@ __all__ = [
     "ActingPolicy",
     "ActionSpace",
     "AlgoEntry",
+    "AnchoredLearner",
     "AsynchronousLearner",
     "BatchWrapper",
     "BatchedEnv",

@@ -30,6 +30,10 @@ def _any_budget(config: Any, iterations: int) -> str | None:  # noqa: ANN401 - a
     return None
 
 
+def _no_anchor(config: Any, kl_coeff: float) -> str | None:  # noqa: ANN401 - any record
+    return "start.kl_coeff and start.critic_iterations are for on-policy algorithms, such as algo=ippo"
+
+
 def _any_rollout(config: Any) -> Mapping[str, int]:  # noqa: ANN401 - any record
     return {}
 
@@ -167,6 +171,9 @@ class AlgoEntry:
     """(config, iterations) -> one line saying why the config needs more iterations; None if they suffice."""
     starts: bool = False
     """Whether its learner is a `StartingLearner`: `start.rule` and `start.run` can be set."""
+    refuses_anchor: Callable[[Any, float], str | None] = _no_anchor
+    """(config, start.kl_coeff) -> one line saying why `start.kl_coeff` or `start.critic_iterations` cannot be
+    set; None if the learner is an `AnchoredLearner` and they can."""
     contributor: Callable[[Any, EnvSpec, Sequence[int]], Contributor] | None = None
     """(config, spec, seeds of the replicas) -> the worker's part of an `AsynchronousLearner`; it may import
     torch. None: the learner is synchronous."""

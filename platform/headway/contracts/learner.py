@@ -91,6 +91,19 @@ class StartingLearner(Learner, Protocol):
         ...
 
 
+@runtime_checkable
+class AnchoredLearner(StartingLearner, Protocol):
+    """A learner that can stay near the policies with which it started."""
+
+    def anchor(self, kl_coeff: float, critic_only: bool) -> None:
+        """Say how the next `update` treats the policies; called before each one.
+
+        `kl_coeff`: coefficient of a penalty KL(start policy || policy); the start policies are those at the
+        first call in which it is above 0. `critic_only`: leave the policies' parameters unchanged.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class Contribution:
     """A worker's result in asynchronous training: gradients and other inputs of the shared update."""

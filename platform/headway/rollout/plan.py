@@ -93,6 +93,8 @@ class RolloutPlan:
     """Rule of the training environment that acts in the first iterations instead of the policy."""
     rule_iterations: int = 0
     """Number of these iterations."""
+    stage: int = 0
+    """Stage of training, from 0. Its first episodes have seeds of its own."""
 
     @classmethod
     def of(
@@ -111,6 +113,11 @@ class RolloutPlan:
             make_env, preload, prepared, spec, policy, seeds, rollout.copies, rollout.steps, rollout.block,
             training_prepared,
         )  # fmt: skip
+
+    @property
+    def seed_purpose(self) -> str:
+        """Purpose of the seeds of the first episodes."""
+        return f"env stage {self.stage}" if self.stage else "env"
 
     @property
     def replicas(self) -> int:

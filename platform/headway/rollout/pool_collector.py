@@ -50,7 +50,7 @@ class PoolCollector:
 
     def begin(self) -> None:
         """Start the first episodes."""
-        self.pool.all([Begin("env")] * len(self.pool.workers))
+        self.pool.all([Begin(self.plan.seed_purpose)] * len(self.pool.workers))
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
         """Sample one iteration in all workers at once; a worker that dies is replaced and samples again."""

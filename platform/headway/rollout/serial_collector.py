@@ -23,7 +23,7 @@ class SerialCollector:
 
     def begin(self) -> None:
         """Start the first episodes."""
-        self.sampler.begin()
+        self.sampler.begin(self.plan.seed_purpose)
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
         """Sample one iteration."""

@@ -97,6 +97,7 @@ def learning_curves(
     low: float | None = None,
     title: str = "",
     sign: int = 1,
+    stage_ends: Mapping[str, Sequence[int]] | None = None,
 ) -> "Figure":
     """Plot the frame of `mean_curves` (column `mean`) or `efficiency` (column `iqm`), one panel per task.
 
@@ -105,6 +106,7 @@ def learning_curves(
     there. The vertical axis is not stretched for a controller far worse than most others (`outliers`; higher
     is better if `sign` is 1, lower if -1), whose label has its worst value, nor for intervals much wider than
     the range of the curves, which are cut off. `low` is the lower limit of the vertical axis.
+    `stage_ends` (task -> environment steps) are vertical lines.
     """
     column = "mean" if "mean" in means.columns else "iqm"
     tasks = list(dict.fromkeys(means["task"])) if "task" in means.columns else [""]
@@ -121,6 +123,8 @@ def learning_curves(
         middles = [curve[column].to_numpy() for name, curve in by_name.items() if name not in excluded]
         _bound_bands(axes, np.concatenate(middles))
         plot_rules(axes, rules.get(task, {}), styles=styles)
+        for steps in (stage_ends or {}).get(task, ()):
+            axes.axvline(steps, color="0.7", linewidth=0.8, zorder=0)
         if excluded:
             window = axes.get_ylim()
             for name, value in excluded.items():

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from headway.config.experiment import ExperimentConfig
 from headway.contracts import (
+    AnchoredLearner,
     AsynchronousLearner,
     EnvSpec,
     HeadwayError,
@@ -88,6 +89,8 @@ class TrainingJob:
     resume: bool = False
     parent: ParentRun | None = None
     """None: training starts from random parameters or from the plan's rule."""
+    later: tuple[RolloutPlan, ...] = ()
+    """Plans of the stages after the first, which has `plan`; they differ in the training environment."""
     make_contributor: MakeContributor | None = None
     """The algorithm entry's `contributor`; None: training is synchronous."""
     contributor_preload: tuple[str, ...] = ()
@@ -138,12 +141,10 @@ class _Training:
         folders = zip(job.directories, job.gate_paths, strict=True)
         self.logs = [RunLog(Path(directory), gate) for directory, gate in folders]
         self.learner = job.make_learner(job.algo_config, job.spec, job.seeds, job.config.device)
-        if not ((job.plan.rule is None and job.parent is None) or isinstance(self.learner, StartingLearner)):
-            raise HeadwayError(
-                f"the entry of algo={job.config.algo.get('name')} has starts=True, but its learner is not a "
-                "headway.contracts.StartingLearner; add the missing methods, or leave out start"
-            )
-        self.backend, self.mode = _open_mode(job, self.learner, lambda line: report(Notice(line)))
+        _require_start(job, self.learner)
+        self.stage, self.ended = 0, Usage()
+        """Usage of the workers of stages that have ended."""
+        self.backend, self.mode = self._open(job.plan)
         self.best = BestPolicies(len(job.seeds))
         self.iteration = 0
         """Iterations finished."""
@@ -179,8 +180,12 @@ class _Training:
             self._write_curve(self._with_labels([{} for _ in self.job.seeds]), self._evaluate(final=False))
         while self.iteration < total and not should_stop():
             self._iterate(total)
-            if self.iteration % self.config.store.checkpoint_every == 0 or self.iteration == total:
+            ends = self.iteration in self.config.stage_ends
+            if ends or self.iteration % self.config.store.checkpoint_every == 0:
                 self._checkpoint()
+            if ends and self.iteration < total:
+                self._enter(self.stage + 1)
+                self.backend.begin()
         if self.saved_iteration < self.iteration:
             self._checkpoint()
         if self.iteration >= total:
@@ -188,6 +193,16 @@ class _Training:
             remove_replay(self.job.checkpoints[0], self.job.gate_paths[0])
         stopped = self.iteration < total
         self.report(Finished(self.iteration, stopped, self._usage(), self.store_s))
+
+    def _open(self, plan: RolloutPlan) -> tuple[Backend, Mode]:
+        return _open_mode(self.job, plan, self.learner, lambda line: self.report(Notice(line)))
+
+    def _enter(self, stage: int) -> None:
+        """Replace the workers by those of another stage."""
+        self.ended += Usage(self.backend.usage().cpu_seconds)
+        self.backend.close()
+        self.stage = stage
+        self.backend, self.mode = self._open((self.job.plan, *self.job.later)[stage])
 
     def _iterate(self, total: int) -> None:
         done = self.mode.iterate(self.iteration + 1, self.iteration / total)
@@ -197,9 +212,10 @@ class _Training:
         self._log_episodes(done.episodes)
         at = self.iteration, self.env_steps
         self.report(IterationFinished(*at, self._usage(), self._wall_s(), done.collect_s, done.learn_s))
-        due = self.iteration in (total, self.job.plan.rule_iterations) or self._passed_multiple_of(
-            self.config.evaluation.every
-        )
+        due = self.iteration in (
+            *self.config.stage_ends,
+            self.job.plan.rule_iterations,
+        ) or self._passed_multiple_of(self.config.evaluation.every)
         self._write_curve(rows, self._evaluate(final=self.iteration == total) if due else None)
 
     def _passed_multiple_of(self, steps: int) -> bool:
@@ -328,33 +344,62 @@ class _Training:
             self.report(
                 Notice(f"{line}: after iteration {iteration} its curve is not that of a run never stopped")
             )
-        self.backend.restore(state["snapshots"], iteration)
-        self.episodes_restarted = any(snapshot is None for snapshot in state["snapshots"])
+        self._resume_episodes(state["snapshots"])
+        for log in self.logs:
+            log.rewind(iteration)
+
+    def _resume_episodes(self, snapshots: list[Any]) -> None:
+        """Continue the episodes of the stage that the checkpoint is from, or begin the one that follows."""
+        if (stage := self.config.stage_after(self.iteration)) != self.stage:
+            self._enter(stage)
+        if self.iteration in self.config.stage_ends[:-1]:
+            self.backend.begin()
+            return
+        self.backend.restore(snapshots, self.iteration)
+        self.episodes_restarted = any(snapshot is None for snapshot in snapshots)
         if self.episodes_restarted:
-            name = self.job.spec.name
+            name, iteration = self.job.spec.name, self.iteration
             self.report(
                 Notice(f"{name} has no snapshots: its episodes start anew after iteration {iteration}")
             )
-        for log in self.logs:
-            log.rewind(iteration)
 
     def _wall_s(self) -> float:
         """Seconds of training so far, earlier sessions included."""
         return self.seconds_before + time.monotonic() - self.started
 
     def _usage(self) -> Usage:
-        return self.own_usage.read() + self.backend.usage()
+        return self.own_usage.read() + self.backend.usage() + self.ended
 
 
-def _open_mode(job: TrainingJob, learner: Learner, notify: Callable[[str], None]) -> tuple[Backend, Mode]:
+def _require_start(job: TrainingJob, learner: Learner) -> None:
+    """Raise HeadwayError if the learner lacks a method that the start needs."""
+    starts = job.plan.rule is not None or job.parent is not None
+    entry = f"the entry of algo={job.config.algo.get('name')}"
+    if starts and not isinstance(learner, StartingLearner):
+        raise HeadwayError(
+            f"{entry} has starts=True, but its learner is not a headway.contracts.StartingLearner; add the "
+            "missing methods, or leave out start"
+        )
+    if job.config.start.anchors and not isinstance(learner, AnchoredLearner):
+        raise HeadwayError(
+            f"{entry} allows start.kl_coeff, but its learner is not a headway.contracts.AnchoredLearner; add "
+            "its method `anchor`, or leave out start.kl_coeff and start.critic_iterations"
+        )
+
+
+def _open_mode(
+    job: TrainingJob, plan: RolloutPlan, learner: Learner, notify: Callable[[str], None]
+) -> tuple[Backend, Mode]:
     """Start the workers; return the backend and the mode in which it works with the learner.
 
     Raises HeadwayError if the algorithm's contributor and learner do not match.
     """
-    backend, plan = job.config.backend, job.plan
+    backend = job.config.backend
     if job.make_contributor is None:
         collector = open_collector(backend, plan, job.workers, notify)
-        return collector, SynchronousMode(learner, collector, plan.rule_iterations)
+        config = job.config
+        mode = SynchronousMode(learner, collector, job.plan.rule_iterations, config.start, config.iterations)
+        return collector, mode
     if not isinstance(learner, AsynchronousLearner):
         raise HeadwayError(
             f"the entry of algo={job.config.algo.get('name')} has a contributor, but its learner is not "

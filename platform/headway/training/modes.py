@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import AsynchronousLearner, Learner, StartingLearner
+from headway.config.experiment import StartConfig
+from headway.contracts import AnchoredLearner, AsynchronousLearner, Learner, StartingLearner
 from headway.rollout.collector import Collector, Contributors
 from headway.rollout.sampler import Episode, sort_episodes
 from headway.rollout.workers.worker import Contribute
@@ -44,10 +45,21 @@ class SynchronousMode:
 
     deterministic = True
 
-    def __init__(self, learner: Learner, collector: Collector, rule_iterations: int = 0) -> None:
-        """In the first `rule_iterations` a rule acts, which a `StartingLearner` imitates."""
+    def __init__(
+        self,
+        learner: Learner,
+        collector: Collector,
+        rule_iterations: int = 0,
+        start: StartConfig | None = None,
+        iterations: int = 1,
+    ) -> None:
+        """In the first `rule_iterations`, of `iterations`, a rule acts, which a `StartingLearner` imitates.
+
+        If `start` says so, an `AnchoredLearner` then stays near the policies with which it started.
+        """
         self.learner, self.collector = learner, collector
-        self.rule_iterations = rule_iterations
+        self.rule_iterations, self.start = rule_iterations, start or StartConfig()
+        self.learning_share = 1 - rule_iterations / iterations
 
     def iterate(self, iteration: int, progress: float) -> IterationResult:
         """Sample one iteration and learn from it."""
@@ -60,8 +72,16 @@ class SynchronousMode:
             assert isinstance(self.learner, StartingLearner)
             metrics = self.learner.imitate(trajectory, iteration, self.rule_iterations)
         else:
+            self._anchor(iteration, progress)
             metrics = self.learner.update(trajectory, iteration, progress)
         return IterationResult(episodes, metrics, collected - start, time.monotonic() - collected)
+
+    def _anchor(self, iteration: int, progress: float) -> None:
+        if not self.start.anchors:
+            return
+        assert isinstance(self.learner, AnchoredLearner)
+        kl_coeff = self.start.kl_coeff * (1 - progress) / self.learning_share
+        self.learner.anchor(kl_coeff, iteration <= self.rule_iterations + self.start.critic_iterations)
 
 
 class AsynchronousMode:

@@ -181,3 +181,30 @@ def test_with_two_ramp_lanes_only_changes_to_the_left_are_allowed(make: Make) ->
                 cars_from_outer |= lanes[index] == "bc0" and abs(cars[index]["y"]) > 0.5
         env.step(np.where(masks[..., LEFT], LEFT, 1))
     assert cars_from_outer
+
+
+@pytest.mark.parametrize("density", [1, 2, 3])
+def test_room_for_more_vehicles_changes_only_where_the_state_has_them(make: Make, density: int) -> None:
+    """Some episodes of either, with the same actions."""
+    exact, roomy = make(copies=4, density=density), make(copies=4, density=density, max_density=3)
+    slots = len(exact.spec.agents)
+    assert (len(roomy.spec.agents), roomy.spec.state_size) == (6, 7 * (6 + 5) + 1)
+    draw = np.random.default_rng(3)
+    for _ in range(60):
+        actions = draw.integers(0, 5, (4, 6))
+        ours, ours_seen = exact.step(actions[:, :slots])
+        theirs, seen = roomy.step(actions)
+        np.testing.assert_array_equal(theirs.metrics, ours.metrics)
+        np.testing.assert_array_equal(theirs.rewards[:, :slots], ours.rewards)
+        np.testing.assert_array_equal(theirs.terminated[:, :slots], ours.terminated)
+        np.testing.assert_array_equal(seen.observations[:, :slots], ours_seen.observations)
+        assert not seen.alive[:, slots:].any()
+        # CAVs, then HDVs, in blocks of 7 numbers; the last number is the time.
+        blocks = [states[:, :-1].reshape(4, -1, 7) for states in (ours_seen.states, seen.states)]
+        hdvs = blocks[0].shape[1] - slots
+        np.testing.assert_array_equal(blocks[1][:, :slots], blocks[0][:, :slots])
+        np.testing.assert_array_equal(blocks[1][:, 6 : 6 + hdvs], blocks[0][:, slots:])
+        assert not blocks[1][:, slots:6].any()
+        assert not blocks[1][:, 6 + hdvs :].any()
+        np.testing.assert_array_equal(seen.states[:, -1], ours_seen.states[:, -1])
+    assert make(density=density, max_density=density).spec == make(density=density).spec

@@ -21,6 +21,7 @@ from headway_launch.report.reproduction_line import reproducing_line
             "env.wrappers=[{name: frame_stack_v1, stack_size: 4}, clip_reward_v0]",
             "study=\"with spaces = and 'quotes'\"",
         ),
+        ("experiment=merge_curriculum", "algo.lr=1e-3"),
         ("env=mpe2.simple_spread_v3", "algo=itrpo", "env.training_args={N: 3}", "backend.stack=2"),
     ],
 )
@@ -30,7 +31,7 @@ def test_lines_compose_what_was_run(overrides: Sequence[str]) -> None:
     assert (program, command) == ("headway", "run")
     again = full_mapping(compose(words), [3])
     assert again["seed"] == [3]
-    for key in ("study", "env", "algo", "rollout", "evaluation", "env_steps", "device", "energy"):
+    for key in ("study", "env", "algo", "rollout", "evaluation", "env_steps", "device", "energy", "stages"):
         assert again[key] == stored[key], key
     assert again["backend"]["stack"] == stored["backend"]["stack"]
     assert "elsewhere" not in words

@@ -272,11 +272,39 @@ def test_rules_that_training_cannot_start_from_are_refused(words: list[str], lin
             "of 9000 leaves nothing of env_steps=9000",
         ),
         (["start.env_steps=10"], "start.env_steps applies to a rule: set start.rule too, or leave this out"),
+        (["start.kl_coeff=1"], "start.kl_coeff applies after a start: set start.rule or start.run too"),
+        (["start.critic_iterations=2"], "start.critic_iterations applies after a start: set start.rule"),
+        (["start.rule=optimal", "start.kl_coeff=-1"], "start.kl_coeff must be at least 0, not -1"),
     ],
 )
 def test_budgets_of_a_rule_that_leave_nothing_to_learn_are_refused(words: list[str], line: str) -> None:
     with pytest.raises(HeadwayError, match=line):
         compose(["env=trivial", "algo=ippo", "env_steps=9000", *words])
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["algo=madqn", "start.critic_iterations=2"], "madqn: start.kl_coeff and .* are for on-policy alg"),
+        (["algo=madqn", "start.kl_coeff=0.1"], "madqn: start.kl_coeff and .* such as algo=ippo"),
+        (
+            ["algo=itrpo", "start.kl_coeff=0.1"],
+            "itrpo: .* algo.update=trpo bounds its steps by itself; lower",
+        ),
+        (["algo=maacktr", "start.kl_coeff=0.1"], "maacktr: .* algo.update=kfac bounds its steps by itself"),
+        (["algo=ippo", "algo.model.core=gru", "start.kl_coeff=0.1"], "ippo: .* is for feedforward policies"),
+    ],
+)
+def test_algorithms_that_cannot_stay_near_a_start_are_refused(words: list[str], line: str) -> None:
+    with pytest.raises(HeadwayError, match=line):
+        plan_jobs(compose(["env=trivial", "start.rule=optimal", *words]))
+
+
+@pytest.mark.parametrize(
+    "words", [["algo=itrpo"], ["algo=ippo", "algo.model.core=gru"], ["algo=ippo", "start.kl_coeff=0.1"]]
+)
+def test_a_critic_can_learn_first_with_every_on_policy_algorithm(words: list[str]) -> None:
+    plan_jobs(compose(["env=trivial", "start.rule=optimal", "start.critic_iterations=2", *words]))
 
 
 def test_a_start_from_a_rule_is_a_cell_of_its_own() -> None:
@@ -285,6 +313,9 @@ def test_a_start_from_a_rule_is_a_cell_of_its_own() -> None:
     assert identity(full_mapping(bare, (0,))) != identity(full_mapping(started, (0,)))
     keys = {"start.rule": "optimal", "start.env_steps": 50_000}
     assert cell_parameters(started) == {**cell_parameters(bare), **keys}
+    held = compose(["env=trivial", "algo=ippo", "start.rule=optimal", "start.kl_coeff=0.1"])
+    assert identity(full_mapping(held, (0,))) != identity(full_mapping(started, (0,)))
+    assert cell_parameters(held) == {**cell_parameters(started), "start.kl_coeff": 0.1}
     # Runs stored before the key existed are the same runs.
     before = {key: value for key, value in full_mapping(bare, (0,)).items() if key != "start"}
     assert identity(before) == identity(full_mapping(bare, (0,)))
@@ -359,3 +390,76 @@ def test_a_run_that_still_trains_is_no_start(parents: Path) -> None:
     with pytest.raises(HeadwayError, match="is still training; start from it when it has ended"):
         plan_jobs(compose(words))
     end_as(parent, "FINISHED")
+
+
+CURRICULUM = ["env=merge", "algo=ippo", "preset=none", "env.args={density: 3, max_density: 3}"]
+STAGES = "stages=[{env_steps: 4000, training_args: {density: 1}}, {env_steps: 5000}]"
+
+
+def test_each_stage_has_its_environment_and_their_sum_is_the_budget() -> None:
+    experiment = compose([*CURRICULUM, STAGES, "env.training_args.reward.scope=own"])
+    assert (experiment.config.env_steps, experiment.env_config.density) == (9000, 3)
+    [job] = plan_jobs(experiment)
+    plans = [job.training.plan, *job.training.later]
+    configs = [plan.training_prepared.config for plan in plans]
+    assert [(config.density, config.reward.scope) for config in configs] == [(1, "own"), (3, "own")]
+    assert [plan.prepared.config.reward.scope for plan in plans] == ["global", "global"]
+    assert [plan.stage for plan in plans] == [0, 1]
+    assert all(plan.spec == job.spec for plan in plans)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (
+            ["env.args={density: 3}", STAGES],
+            r"stages\[0\]\.training_args may change .* \(3 agents here and 6, state_size 43 here and 78 in "
+            r"evaluation\); set such arguments in env\.args",
+        ),
+        (
+            [
+                "env.args={density: 3, max_density: 3}",
+                "stages=[{env_steps: 4000, training_args: {reward: {scope: own}}}, {env_steps: 5000}]",
+            ],
+            r"stages\[1\]\.training_args .*\(shared_reward True here and False in stages\[0\]\)",
+        ),
+        (
+            ["env.args={density: 3, max_density: 2}"],
+            "env.args.max_density must be null, or 1, 2 or 3 and at least density, not 2",
+        ),
+        (["stages=[{env_steps: 9000, training_args: {densty: 1}}]"], r"stages\[0\].*did you mean .*density"),
+        (["stages=[{env_steps: 9000, args: {density: 1}}]"], r"stages\[0\]\.args"),
+        (["stages=[{training_args: {density: 1}}]"], r"stages\[0\]\.env_steps is missing and has no default"),
+        (["stages=9"], "stages=9 is a whole number, where a list of mappings is wanted"),
+        (
+            ["env.args={density: 3, max_density: 3}", "algo=a3c", STAGES],
+            "stages: the workers of a3c do not wait for each other, .* another algorithm, such as algo=ia2c",
+        ),
+        ([STAGES, "env_steps=10000"], "env_steps of 10000 is not the sum of the stages', 9000; leave it out"),
+    ],
+)
+def test_stages_that_do_not_fit_are_refused(words: list[str], line: str) -> None:
+    with pytest.raises(HeadwayError, match=line) as refusal:
+        plan_jobs(compose(["env=merge", "algo=ippo", "preset=none", *words]))
+    assert "\n" not in str(refusal.value)
+
+
+def test_stages_make_another_cell_and_none_are_as_before() -> None:
+    bare, staged = (compose([*CURRICULUM, *more]) for more in (["env_steps=9000"], [STAGES]))
+    assert identity(full_mapping(bare, (0,))) != identity(full_mapping(staged, (0,)))
+    assert "stages" in cell_parameters(staged)
+    assert "stages" not in cell_parameters(bare)
+    before = {key: value for key, value in full_mapping(bare, (0,)).items() if key != "stages"}
+    assert identity(before) == identity(full_mapping(bare, (0,)))
+
+
+def test_a_stored_run_is_resumed_in_its_stages(tmp_path: Path) -> None:
+    words = [*CURRICULUM, "seed=7", *SMALL, "backend=serial", f"store.root={tmp_path}"]
+    short = "stages=[{env_steps: 64, training_args: {density: 1}}, {env_steps: 128}]"
+    assert run(["run", *[word for word in words if not word.startswith("env_steps")], short]) == 0
+    [folder] = (tmp_path / "default").glob("*-s7-*")
+    stored = yaml.safe_load((folder / "config.yaml").read_text())
+    assert stored["env_steps"] == 192
+    [[job]] = jobs_to_resume([StoredRun.read(tmp_path, folder)])
+    later = [plan.training_prepared.config.density for plan in job.training.later]
+    assert (job.training.plan.training_prepared.config.density, later) == (1, [3])

@@ -146,3 +146,15 @@ def test_components_that_are_always_0_have_no_panel() -> None:
     )
     assert [axes.get_xlabel() for axes in reward_components(parts).axes] == ["speed", "crash"]
     assert [axes.get_xlabel() for axes in reward_components(parts[["lanes"]]).axes] == ["lanes"]
+
+
+def test_stages_are_vertical_lines_on_their_task() -> None:
+    points = [(task, "mappo", steps, 1.0) for task in ("a", "b") for steps in (0, 50, 100)]
+    means = pd.DataFrame(points, columns=["task", "controller", "env_steps", "mean"])
+    means = means.assign(low=0.5, high=1.5, runs=4)
+    figure = learning_curves(means, {}, "return", colours(["mappo"]), stage_ends={"b": [30, 60]})
+    upright = [
+        [line.get_xdata()[0] for line in axes.lines if len(set(line.get_xdata())) == 1]
+        for axes in figure.axes
+    ]
+    assert upright == [[], [30, 60]]

@@ -3,17 +3,21 @@
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rehearsal import TOYS, collector_of, parameters_of, plan_of_toy
 from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained, with_algorithm
 
+from headway.config.experiment import StartConfig
 from headway.contracts import HeadwayError, Rule, child_seeds
 from headway.events import EvaluationFinished
 from headway.rollout.plan import RolloutPlan
 from headway.training.loop import TrainingJob
-from headway_algos.registry import ENTRIES
+from headway.training.modes import SynchronousMode
+from headway_algos.registry import ENTRIES, configure
 from headway_envs.toy.tracking import OptimalTracking
 from headway_envs.toy.visitors import OptimalVisitors
 
@@ -60,6 +64,57 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Log:
     return logs_of(job)[0]
 
 
+class _Spy:
+    """A learner that only notes what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[float, bool]] = []
+
+    def acting_parameters(self) -> dict[str, NDArray[Any]]:
+        return {}
+
+    def imitate(self, *arguments: object) -> dict[str, NDArray[np.float64]]:
+        return {}
+
+    update = start_from = state_dict = load_state_dict = imitate
+
+    def anchor(self, kl_coeff: float, critic_only: bool) -> None:
+        self.told.append((kl_coeff, critic_only))
+
+
+def test_the_penalty_falls_linearly_to_0_and_the_critic_learns_first() -> None:
+    """Over what remains of the budget after the rule: four of six iterations."""
+    plan, learner = _plan("visitors", rule_iterations=2), _Spy()
+    start = StartConfig(rule="optimal", kl_coeff=8.0, critic_iterations=1)
+    with collector_of(plan, "serial") as collector:
+        collector.begin()
+        parameters = parameters_of(plan)
+        learner.acting_parameters = lambda: parameters  # type: ignore[method-assign]
+        mode = SynchronousMode(learner, collector, 2, start, 6)  # type: ignore[arg-type]
+        for iteration in range(1, 7):
+            mode.iterate(iteration, (iteration - 1) / 6)
+    told, expected = zip(*learner.told, strict=True), [(8, True), (6, False), (4, False), (2, False)]
+    coefficients, critic_only = told
+    assert coefficients == pytest.approx([each[0] for each in expected])
+    assert critic_only == tuple(each[1] for each in expected)
+
+
+@pytest.mark.parametrize("stop", [2, 3, 4, 5])
+def test_a_run_that_stays_near_its_start_is_resumed_exactly(stop: int, tmp_path: Path) -> None:
+    jobs = []
+    for name in ("whole", "halves"):
+        job = _job(tmp_path / name, seeds=(4, 5))
+        start = StartConfig(rule="optimal", env_steps=3 * COPIES * STEPS, kl_coeff=2.0, critic_iterations=1)
+        jobs.append(replace(job, config=replace(job.config, start=start)))
+    whole, halves = jobs
+    trained(whole)
+    trained(halves, stop_after=stop)
+    trained(replace(halves, resume=True))
+    assert logs_of(halves) == logs_of(whole)
+    last = logs_of(whole)[0]["curve"][-1]
+    assert float.fromhex(last["policy/start_kl"]) > 0
+
+
 @pytest.mark.parametrize("stop", [2, 4])
 def test_a_run_that_is_resumed_ends_with_the_same_curve(whole: Log, tmp_path: Path, stop: int) -> None:
     job = _job(tmp_path)
@@ -99,3 +154,7 @@ def test_an_entry_that_promises_too_much_is_named(tmp_path: Path) -> None:
     job = replace(_job(tmp_path), make_learner=lambda *arguments: Unwilling())
     with pytest.raises(HeadwayError, match=r"has starts=True, .* or leave out start"):
         trained(job)
+    start = StartConfig(rule="optimal", env_steps=3 * COPIES * STEPS, critic_iterations=1)
+    job = with_algorithm(job, ENTRIES["madqn"], configure("madqn"))
+    with pytest.raises(HeadwayError, match=r"is not a headway.contracts.AnchoredLearner; add its method"):
+        trained(replace(job, config=replace(job.config, start=start)))

@@ -10,11 +10,12 @@ from torch import Tensor
 
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.minibatches import Piece
+from headway_algos.batches.old_policies import OldPolicies
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.schedule import MinibatchSchedule
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.config import GradientUpdateConfig, PPOConfig
-from headway_algos.on_policy.updates.kl_penalty import KLPenalty, OldPolicies
+from headway_algos.on_policy.updates.kl_penalty import KLPenalty, mean_kl
 from headway_algos.on_policy.updates.losses import (
     A2CLoss,
     LossRows,
@@ -29,7 +30,10 @@ from headway_algos.optim.gradient_steps import autograd_steps
 
 
 class GradientUpdate:
-    """Minimises the mean of a `PolicyLoss`, and of a penalty if there is one, by Adam over minibatches."""
+    """Minimises the mean of a `PolicyLoss` and of KL penalties, if any, by Adam over minibatches.
+
+    The penalties are PPO's own, `penalty`, and that on the distance from `rows.start`.
+    """
 
     def __init__(
         self,
@@ -52,30 +56,34 @@ class GradientUpdate:
         """Update the policies, given advantages (P, B); return metrics, each (P,)."""
         old = None if self.penalty is None else self.penalty.old_policies(self.actor, rows)
 
+        tied = [each for each in (old, rows.start) if each is not None]
+
         def add_gradients(piece: Piece) -> Tensor:
-            return self._add_gradients(piece, rows, advantages, old)
+            return self._add_gradients(piece, rows, advantages, tied)
 
         schedule = MinibatchSchedule(
             rows.selected, rows.sequences, generators, self.epochs, self.minibatches,
             self.config.piece_samples, self.layout,
         )  # fmt: skip
-        compiled = compiled_policy_steps(self.loss, self.actor, self.optimiser, rows, advantages, old)
+        compiled = compiled_policy_steps(self.loss, self.actor, self.optimiser, rows, advantages, tied)
         take_steps = compiled or autograd_steps(self.optimiser, add_gradients, len(self.loss.reports))
         reported, norm = take_steps(schedule)
         info = dict(zip(self.loss.reports, reported, strict=True)) | {"gradient_norm": norm}
         if self.penalty is not None and old is not None:
             info |= self.penalty.adapt(self.actor, rows, old)
+        if rows.start is not None:
+            info["start_kl"] = mean_kl(self.actor, rows, rows.start, self.config.piece_samples)
         return info
 
     def _add_gradients(
-        self, piece: Piece, rows: PolicyBatch, advantages: Tensor, old: OldPolicies | None
+        self, piece: Piece, rows: PolicyBatch, advantages: Tensor, tied: Sequence[OldPolicies]
     ) -> Tensor:
         """Add a piece's gradients by autograd; return its shares of the reported numbers, (I, P)."""
         masks = None if rows.masks is None else piece.of(rows.masks)
         new = self.actor(piece.of(rows.observations), masks, piece.timeline)
         batch = LossRows(piece.of(rows.actions), piece.of(rows.log_probs), piece.of(advantages))
         loss, reported = checked_loss(self.loss, new, batch)
-        if old is not None:
+        for old in tied:
             loss = loss + old.penalty(new, self.actor, piece, masks)
         torch.autograd.backward((loss * piece.weight).sum())
         return (reported * piece.weight).sum(2)

@@ -5,32 +5,15 @@ Source: Schulman et al. 2017, arXiv:1707.06347, section 4, with RLlib's factors.
 
 from copy import copy
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import Self
 
 import torch
 from torch import Tensor
 
-from headway_algos.batches.minibatches import Piece, even_slices
+from headway_algos.batches.minibatches import even_slices
+from headway_algos.batches.old_policies import OldPolicies, outputs_of
 from headway_algos.batches.policy_batch import PolicyBatch
-from headway_algos.batches.sequences import over_rows
 from headway_algos.networks.actor import Actor
-from headway_algos.networks.distributions import Distribution
-
-
-class OldPolicies(NamedTuple):
-    """The policies that acted, and how strongly the penalty ties the new ones to them."""
-
-    outputs: Tensor
-    """(P, B, A) network outputs."""
-    log_std: Tensor | None
-    """(P, A, 1) of Gaussian policies."""
-    coefficients: Tensor
-    """(P,)"""
-
-    def penalty(self, new: Distribution, actor: Actor, piece: Piece, masks: Tensor | None) -> Tensor:
-        """Return coefficient x KL(pi_old || pi) of a piece's rows, (P, rows)."""
-        old = actor.distribution(piece.of(self.outputs).transpose(1, 2), masks, self.log_std)
-        return self.coefficients[:, None] * new.kl_from(old)
 
 
 @dataclass
@@ -45,8 +28,8 @@ class KLPenalty:
 
     def old_policies(self, actor: Actor, rows: PolicyBatch) -> OldPolicies:
         """Return the current policies, before their update."""
-        log_std = None if actor.log_std is None else actor.log_std.detach().clone()
-        return OldPolicies(self._outputs(actor, rows), log_std, self.coefficients)
+        parts = rows.observations, rows.sequences, self.coefficients, self.piece_samples
+        return OldPolicies.of(actor, *parts)
 
     def adapt(self, actor: Actor, rows: PolicyBatch, old: OldPolicies) -> dict[str, Tensor]:
         """Adapt the coefficients of policies with rows.
@@ -54,7 +37,7 @@ class KLPenalty:
         Returns the mean KL divergence after the update, NaN without rows, and the coefficients used in it,
         (P,) each.
         """
-        kl = self._mean_kl(actor, rows, old)
+        kl = mean_kl(actor, rows, old, self.piece_samples)
         self.coefficients = adapted_coefficients(old.coefficients, kl, self.target)
         return {"kl": kl, "kl_coeff": old.coefficients}
 
@@ -68,27 +51,19 @@ class KLPenalty:
         """Copy the coefficients of `policies` (n,) from `part`."""
         self.coefficients = self.coefficients.index_copy(0, policies, part.coefficients)
 
-    def _outputs(self, actor: Actor, rows: PolicyBatch) -> Tensor:
-        """Return the network outputs (P, B, A) of all rows."""
-        if rows.sequences is not None:
-            return over_rows(actor.network, rows.observations, rows.sequences, self.piece_samples)
-        with torch.no_grad():
-            parts = even_slices(rows.observations.shape[1], len(rows.observations), self.piece_samples)
-            outputs = torch.cat([actor.network(rows.observations[:, part]) for part in parts], dim=2)
-            return outputs.transpose(1, 2).contiguous()
 
-    def _mean_kl(self, actor: Actor, rows: PolicyBatch, old: OldPolicies) -> Tensor:
-        """Return the mean KL(old || new) of each policy over its selected rows, (P,); NaN without rows."""
-        selected = torch.from_numpy(rows.selected).to(old.outputs.device)
-        total = torch.zeros_like(self.coefficients)
-        new_outputs = self._outputs(actor, rows).transpose(1, 2)
-        with torch.no_grad():
-            for part in even_slices(selected.shape[1], len(selected), self.piece_samples):
-                masks = rows.masks[:, part] if rows.masks is not None else None
-                new = actor.distribution(new_outputs[:, :, part], masks)
-                before = actor.distribution(old.outputs[:, part].transpose(1, 2), masks, old.log_std)
-                total += torch.where(selected[:, part], new.kl_from(before), 0).sum(1)
-        return total / selected.sum(1)  # 0 / 0 is NaN
+def mean_kl(actor: Actor, rows: PolicyBatch, old: OldPolicies, piece_samples: int) -> Tensor:
+    """Return the mean KL(old || new) of each policy over its selected rows, (P,); NaN without rows."""
+    selected = torch.from_numpy(rows.selected).to(old.outputs.device)
+    total = torch.zeros_like(old.coefficients)
+    new_outputs = outputs_of(actor, rows.observations, rows.sequences, piece_samples).transpose(1, 2)
+    with torch.no_grad():
+        for part in even_slices(selected.shape[1], len(selected), piece_samples):
+            masks = rows.masks[:, part] if rows.masks is not None else None
+            new = actor.distribution(new_outputs[:, :, part], masks)
+            before = actor.distribution(old.outputs[:, part].transpose(1, 2), masks, old.log_std)
+            total += torch.where(selected[:, part], new.kl_from(before), 0).sum(1)
+    return total / selected.sum(1)  # 0 / 0 is NaN
 
 
 def adapted_coefficients(coefficients: Tensor, kl: Tensor, target: float) -> Tensor:

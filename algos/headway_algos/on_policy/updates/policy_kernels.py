@@ -3,11 +3,13 @@
 `tests/algos/optim/test_fast_path.py` checks the kernels against autograd.
 """
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 from torch import Tensor
 
+from headway_algos.batches.old_policies import OldPolicies
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.batches.schedule import MinibatchSchedule
 from headway_algos.kernels.minibatch_steps import (
@@ -19,7 +21,6 @@ from headway_algos.kernels.minibatch_steps import (
 )
 from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import MaskedCategorical
-from headway_algos.on_policy.updates.kl_penalty import OldPolicies
 from headway_algos.on_policy.updates.losses import A2CLoss, PolicyLoss, PPOLoss
 from headway_algos.optim.adam import StackedAdam
 from headway_algos.optim.fast_path import as_array, compiled_steps, kernel_networks
@@ -32,16 +33,17 @@ def compiled_policy_steps(
     optimiser: StackedAdam,
     rows: PolicyBatch,
     advantages: Tensor,
-    old: OldPolicies | None,
+    tied: Sequence[OldPolicies],
 ) -> Steps | None:
     """Return the steps that minimise a loss by compiled kernels, or None to take them by autograd.
 
-    `old`: the policies that acted, to which a penalty ties the new ones; None: no penalty.
+    `tied`: policies to which penalties tie the new ones.
     """
     networks = kernel_networks(actor.network, optimiser)
-    # The kernels have one categorical per row, not several.
-    if networks is None or actor.nvec:
+    # The kernels have one categorical per row, not several, and one penalty.
+    if networks is None or actor.nvec or len(tied) > 1:
         return None
+    old = tied[0] if tied else None
     # Exact types only: a subclass may compute another loss, for which there is no kernel.
     if type(loss) is PPOLoss:
         clipped, clip, entropy_coeff = True, float(loss.clip), float(loss.entropy_coeff)
