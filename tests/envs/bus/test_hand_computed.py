@@ -98,6 +98,17 @@ def test_a_queue_boards_first_come_first_served_with_its_exact_waits() -> None:
     assert expected - 1e-6 <= day["wait"] <= expected + 60.0 * later + 1e-6
 
 
+def test_as_many_passengers_come_as_the_table_states() -> None:
+    """At 120 per hour at 05:30, and none at 04:30, 75, 105 and 105 per hour come in the quarter hours whose
+    middles are 05:07:30, 05:22:30 and 05:37:30. The last bus leaves before the middle of the fourth."""
+    days = 400
+    env = begun(BusBatchedEnv(tiny(board=120.0), days))
+    repeated(env, MOVE, env.prepared.config.ticks - 1)
+    expected = (75 + 105 + 105) / 4
+    deviation = np.sqrt(expected / days)
+    assert env.world.days["arrived"].mean() == pytest.approx(expected, abs=4 * deviation)
+
+
 def test_the_unit_draws_have_mean_one_and_their_deviation() -> None:
     key = np.uint64(12345)
     z = np.array([draws.normal(key, 1, i, 0) for i in range(20000)])
