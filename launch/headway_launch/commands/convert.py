@@ -170,6 +170,7 @@ def _write_wandb(runs: "RunSelection", folder: Path) -> None:
             for step, wall_s, metrics in _points(curve):
                 run.log({"env_steps": step, "wall_s": wall_s, **metrics})
             run.summary.update(read_summary(Path(row.directory)))
+    wandb.teardown()  # its service may write the end of the files after the runs have finished
 
 
 _WRITERS: Mapping[str, Callable[["RunSelection", Path], None]] = {
