@@ -51,7 +51,7 @@ def execute(arguments: argparse.Namespace) -> int:
                 """Print nothing; errors are still printed."""
 
         updates = DatabaseUpdates(root)
-        application = TokenAccess(Pages(root, updates))
+        application = TokenAccess(Pages(root, lambda: updates.has_views))
         server = make_server(
             _HOST,
             arguments.port,

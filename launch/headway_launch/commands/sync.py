@@ -2,6 +2,7 @@
 
 import argparse
 
+from headway.wording import counted
 from headway_launch.commands.runs import add_store_argument, existing_store
 
 EXAMPLES = """\
@@ -29,7 +30,9 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.to:
         require_answer(arguments.to)
     done = sync(root, arguments.to) if arguments.to else sync_each(root)
-    lines = (*done.problems, *(f"{run} is up to date in MLflow" for run in done.runs))
+    lines = [*done.failures, *done.problems, *(f"{run} is up to date in MLflow" for run in done.runs)]
+    if done.attended:
+        lines.append(f"{counted(done.attended, 'run')} left to the session that is sending them")
     for line in lines or ("MLflow has the data of all runs",):
         print(line)
-    return 0
+    return 2 if done.failures else 0

@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 from threading import Event, Thread
 
-from headway.contracts.errors import HeadwayError
+from headway.contracts.errors import HeadwayError, one_line
 from headway.store.index import RunIndex
 from headway.store.tracking.client import Tracker
 from headway.store.tracking.sync import local_experiment, sync
@@ -29,7 +29,7 @@ class DatabaseUpdates:
         try:
             Tracker(root)
         except HeadwayError as error:
-            self._report(error)
+            self._report(str(error))
 
     def start(self, seconds: float) -> None:
         """Start the thread, and wait at most `seconds` for its first update."""
@@ -41,13 +41,15 @@ class DatabaseUpdates:
         while True:
             began = time.monotonic()
             try:
-                self._update()
-            except HeadwayError as error:
-                self._report(error)
-            self._once.set()
+                self.update()
+            except Exception as error:  # the pages are served whatever MLflow raises
+                self._report(one_line(error))
+            finally:
+                self._once.set()
             time.sleep(max(_PAUSE_S, time.monotonic() - began))
 
-    def _update(self) -> None:
+    def update(self) -> None:
+        """Send what the database lacks. Raises HeadwayError if it cannot be written."""
         for line in sync(self._root).problems:
             self._report(line)
         if not self.has_views:
@@ -57,12 +59,7 @@ class DatabaseUpdates:
                 tracker.add_view(experiment)
             self.has_views = True
 
-    def _report(self, problem: HeadwayError | str) -> None:
-        line = (
-            f"MLflow's database is shown as it is: {problem}"
-            if isinstance(problem, HeadwayError)
-            else problem
-        )
-        if line not in self._reported:
-            self._reported.add(line)
-            print_line(f"headway: {line}")
+    def _report(self, problem: str) -> None:
+        if problem not in self._reported:
+            self._reported.add(problem)
+            print_line(f"headway: MLflow's database is not up to date: {problem}")

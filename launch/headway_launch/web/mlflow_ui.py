@@ -45,10 +45,14 @@ class ReadOnlyUI:
     """
 
     def __init__(self, root: Path) -> None:
+        self._database = database_path(root)
         self._application = _mlflow_application(root.resolve())
 
     def __call__(self, environ: "WSGIEnvironment", start_response: "StartResponse") -> Iterable[bytes]:
         """Answer a request."""
+        if not self._database.exists():
+            reason = "the store has no MLflow database, and none can be written there; see the terminal\n"
+            return Response(reason, 503, mimetype="text/plain")(environ, start_response)
         request = Request(environ)
         path = request.path.removeprefix(PREFIX)
         if path in _READS or (path.startswith(_STATIC) and request.method in ("GET", "HEAD")):

@@ -2,7 +2,7 @@
 
 import secrets
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from itertools import groupby
@@ -22,7 +22,6 @@ from headway.store.run_folder import rules_file
 from headway.store.tracking.sync import local_experiment
 from headway.wording import counted
 from headway_launch.report.elements import formatted
-from headway_launch.web.database_updates import DatabaseUpdates
 from headway_launch.web.mlflow_ui import PREFIX, ReadOnlyUI, runs_page
 
 if TYPE_CHECKING:
@@ -52,11 +51,11 @@ class StudyEntry:
 class Pages:
     """WSGI application with the pages of a store, for one store per process.
 
-    `updates`: those of its MLflow database.
+    `has_views` returns whether MLflow's experiments have the view of their runs.
     """
 
-    def __init__(self, root: Path, updates: DatabaseUpdates) -> None:
-        self._root, self._updates = root, updates
+    def __init__(self, root: Path, has_views: Callable[[], bool]) -> None:
+        self._root, self._has_views = root, has_views
         self._mlflow = ReadOnlyUI(root)
         self._reports: dict[str, tuple[object, str]] = {}
         """For each study its report's HTML, and the runs and rules that it was made from."""
@@ -72,7 +71,7 @@ class Pages:
         nonce, status = secrets.token_urlsafe(16), 200
         try:
             if path == "/":
-                text = self._start(nonce, studies=study_entries(self._root, self._updates.has_views))
+                text = self._start(nonce, studies=study_entries(self._root, self._has_views()))
             elif path.startswith(_REPORT):
                 text = self._report(path.removeprefix(_REPORT))
             else:

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
 
 import pytest
 from werkzeug.test import Client
@@ -12,14 +11,13 @@ from headway.contracts.errors import HeadwayError
 from headway.store.index import RunIndex
 from headway.store.tracking.sync import sync
 from headway_launch.web import pages
-from headway_launch.web.database_updates import DatabaseUpdates
 from headway_launch.web.pages import Pages, study_entries
 
 
 @pytest.fixture
 def client(trained: Path, monkeypatch: pytest.MonkeyPatch) -> Client:
     monkeypatch.setattr(pages, "ReadOnlyUI", lambda root: None)
-    return Client(Pages(trained, cast(DatabaseUpdates, SimpleNamespace(has_views=True))))
+    return Client(Pages(trained, lambda: True))
 
 
 def test_studies_are_listed_with_their_runs_and_pages(trained: Path) -> None:

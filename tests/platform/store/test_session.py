@@ -22,7 +22,7 @@ from headway.store.parquet_log import RunLog
 from headway.store.run_folder import rules_file
 from headway.store.session import Cell, Run, SessionStore
 from headway.store.tracking.client import Tracker
-from headway.store.tracking.sync import sync
+from headway.store.tracking.sync import Synced, sync
 
 ITERATIONS = 40
 
@@ -227,8 +227,8 @@ def test_a_broken_database_is_one_line_and_nothing_is_sent_twice(root: Path) -> 
         sync(root)
 
     (root / "mlflow.db").write_bytes(whole)
-    assert sync(root) == ((run.run_id,), ())
-    assert sync(root) == ((), ())
+    assert sync(root) == Synced((run.run_id,))
+    assert sync(root) == Synced()
     histories = _histories(root, run)
     assert histories["train/loss"][-1] == (4000, 1 / 41)
     assert histories["summary/final_reward"] == [(0, 2.0)]
@@ -236,7 +236,7 @@ def test_a_broken_database_is_one_line_and_nothing_is_sent_twice(root: Path) -> 
 
     # After a crash between sending and recording it, nothing is sent twice.
     (run.directory / "tracking.json").unlink()
-    assert sync(root) == ((run.run_id,), ())
+    assert sync(root) == Synced((run.run_id,))
     assert _histories(root, run) == histories
     assert _statuses(root) == ["FINISHED"] * 2
 
@@ -267,13 +267,13 @@ def test_what_belongs_to_a_cell_reaches_mlflow_later_and_once(root: Path) -> Non
         assert later.close() == ()
 
     for _ in range(2):
-        assert sync(root) == ((), ())
+        assert sync(root) == Synced()
         sent = _cell_metrics(root, cell.name)
         assert sent == {"summary/energy_total_kwh": [0.5], "summary/rules/held_return": [4.0]}
     [path] = root.glob("*/*.summary.json")
     path.write_text("{}")
     (run.directory / "tracking.json").unlink()
-    sent, problems = sync(root)
+    sent, problems, *_ = sync(root)
     assert sent == (run.run_id,)
     assert any(f"{path} is not the summary of a cell" in line for line in problems)
 
@@ -302,16 +302,16 @@ def test_an_unreadable_run_does_not_block_other_runs(root: Path) -> None:
     segment = broken.directory / "curve-000010.parquet"
     content = segment.read_bytes()
     segment.write_bytes(b"no Parquet")
-    sent, [problem] = sync(root)
+    sent, [problem], *_ = sync(root)
     assert sent == (whole.run_id,)
     assert problem.startswith(f"{broken.run_id} is not sent to MLflow: ")
     assert "curve-000010.parquet cannot be read as Parquet" in problem
 
     segment.write_bytes(content)
     (whole.directory / "tracking.json").write_text("{half of it")  # broken: MLflow is queried instead
-    sent, problems = sync(root)
+    sent, problems, *_ = sync(root)
     assert (set(sent), problems) == ({broken.run_id, whole.run_id}, ())
-    assert sync(root) == ((), ())
+    assert sync(root) == Synced()
     assert _histories(root, whole)["summary/final_reward"] == [(0, 1.0)]
     assert len(_histories(root, broken)["train/reward"]) == 10
     assert _statuses(root) == ["FINISHED", "KILLED", "KILLED"]  # the cell has the worse status of its runs

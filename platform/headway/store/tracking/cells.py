@@ -77,21 +77,22 @@ def _locked(root: Path) -> AbstractContextManager[None]:
     return locked(root / ".cells.lock", _LOCK_SECONDS, "the summary of a cell was written")
 
 
-def is_unattended(tracking_uri: str | None, session: Process) -> bool:
-    """Return whether no other live session can be sending what `session` trains or trained with
-    `tracking_uri`: sessions send to servers only, not to the store's own database."""
-    return tracking_uri is None or session == Process.current() or not session.may_live()
+def is_attended(tracking_uri: str | None, session: Process, target: str | None) -> bool:
+    """Return whether another live session may be sending to `target` what it trains with `tracking_uri`.
+
+    Sessions send to servers only; `target` None is the store's own database.
+    """
+    if target is None or tracking_uri is None or tracking_uri.rstrip("/") != target.rstrip("/"):
+        return False
+    return session != Process.current() and session.may_live()
 
 
-def unattended_cells(root: Path) -> tuple[list[CellSummary], list[str]]:
-    """Return the summaries that no other live session can be sending, and one line per unreadable file."""
+def cell_summaries(root: Path) -> tuple[list[CellSummary], list[str]]:
+    """Return the summaries of all cells, and one line per unreadable file."""
     summaries, lines = [], []
     for path in sorted(root.glob("*/*.summary.json")):
         try:
-            summary = CellSummary.read(path)
+            summaries.append(CellSummary.read(path))
         except HeadwayError as error:
             lines.append(str(error))
-            continue
-        if is_unattended(summary.tracking_uri, summary.session):
-            summaries.append(summary)
     return summaries, lines

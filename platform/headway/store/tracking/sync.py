@@ -15,6 +15,7 @@ from headway.store.checkpoint import latest_iteration
 from headway.store.parquet_log import read_rows
 from headway.store.run_folder import (
     CHECKPOINTS,
+    Process,
     RunRecord,
     cell_summary_file,
     now,
@@ -22,7 +23,7 @@ from headway.store.run_folder import (
     run_folders,
     status_of_all,
 )
-from headway.store.tracking.cells import CellSummary, is_unattended, send_cell, unattended_cells
+from headway.store.tracking.cells import CellSummary, cell_summaries, is_attended, send_cell
 from headway.store.tracking.client import Tracker, TrackingError, database_uri
 from headway.store.tracking.thinning import ThinnedCurve
 
@@ -105,59 +106,71 @@ class RunSync:
 class Synced(NamedTuple):
     """What a synchronisation has done."""
 
-    runs: tuple[str, ...]
+    runs: tuple[str, ...] = ()
     """Runs that MLflow now has up to their last checkpoint; without those that it had so before."""
-    problems: tuple[str, ...]
+    problems: tuple[str, ...] = ()
     """One line per run and cell that cannot be read."""
+    attended: int = 0
+    """Number of runs left out because their live session is sending them."""
+    failures: tuple[str, ...] = ()
+    """One line per tracking URI at which MLflow fails."""
 
 
 def sync(root: Path, tracking_uri: str | None = None) -> Synced:
     """Bring MLflow up to date with every run folder under `root`.
 
-    Runs that a live session may be sending to its own `tracking_uri` are left out. `tracking_uri` None: the
-    database in the root. Safe to repeat: nothing is sent twice. Raises TrackingError if MLflow fails.
+    `tracking_uri` None: the database in the root. Safe to repeat: nothing is sent twice. Raises TrackingError
+    if MLflow fails.
     """
-    runs, problems = _unattended_runs(root)
-    cells, more = unattended_cells(root)
-    sent, unreadable = _send_missing(root, tracking_uri, runs, cells)
-    return Synced(tuple(sent), (*problems, *more, *unreadable))
+    runs, problems = _runs(root)
+    cells, more = cell_summaries(root)
+    sent, unreadable, attended = _send_missing(root, tracking_uri, runs, cells)
+    return Synced(tuple(sent), (*problems, *more, *unreadable), attended)
 
 
 def sync_each(root: Path) -> Synced:
-    """Bring MLflow up to date by `sync`, each run at the tracking URI it was trained with.
-
-    Raises TrackingError if MLflow fails.
-    """
-    runs, problems = _unattended_runs(root)
-    cells, more = unattended_cells(root)
-    sent: list[str] = []
+    """Bring MLflow up to date by `sync`, each run at the tracking URI it was trained with."""
+    runs, problems = _runs(root)
+    cells, more = cell_summaries(root)
     problems += more
+    sent: list[str] = []
+    failures: list[str] = []
+    attended = 0
     for uri in dict.fromkeys(
         [*(run[1].tracking_uri for run in runs), *(cell.tracking_uri for cell in cells)]
     ):
-        there, unreadable = _send_missing(root, uri, *_trained_with(uri, runs, cells))
+        try:
+            there, unreadable, live = _send_missing(root, uri, *_trained_with(uri, runs, cells))
+        except TrackingError as error:
+            failures.append(str(error))
+            continue
         sent += there
         problems += unreadable
-    return Synced(tuple(sent), tuple(problems))
+        attended += live
+    return Synced(tuple(sent), tuple(problems), attended, tuple(failures))
 
 
 def has_unsent(root: Path, tracking_uri: str) -> bool:
-    """Return whether ended runs or cells trained with this tracking URI are not yet sent completely."""
-    runs, cells = _trained_with(tracking_uri, _unattended_runs(root)[0], unattended_cells(root)[0])
-    return bool(_missing(root, tracking_uri, runs) or _missing_cells(root, tracking_uri, cells))
+    """Return whether runs or cells trained with this tracking URI, without those of other live sessions, are
+    not yet sent completely."""
+    runs, cells, _ = _missing(root, tracking_uri, *_trained_with(tracking_uri, *_runs_and_cells(root)))
+    return bool(runs or cells)
 
 
 def send_unsent(root: Path, tracker: Tracker) -> None:
-    """Send the ended runs and cells that were trained with a tracker's URI and are not yet sent completely.
+    """Send the runs and cells that `has_unsent` finds for a tracker's URI.
 
     Raises TrackingError if MLflow fails and, after all other runs are sent, HeadwayError if runs cannot be
     read.
     """
-    uri = tracker.uri
-    runs, cells = _trained_with(uri, _unattended_runs(root)[0], unattended_cells(root)[0])
-    _, unreadable = _send(root, tracker, _missing(root, uri, runs), _missing_cells(root, uri, cells))
+    runs, cells, _ = _missing(root, tracker.uri, *_trained_with(tracker.uri, *_runs_and_cells(root)))
+    _, unreadable = _send(root, tracker, runs, cells)
     if unreadable:
         raise HeadwayError("; ".join(unreadable))
+
+
+def _runs_and_cells(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[CellSummary]]:
+    return _runs(root)[0], cell_summaries(root)[0]
 
 
 def _trained_with(
@@ -174,21 +187,37 @@ def _send_missing(
     tracking_uri: str | None,
     runs: Iterable[tuple[Path, RunRecord]],
     cells: Iterable[CellSummary],
-) -> tuple[list[str], list[str]]:
-    missing = _missing(root, tracking_uri, runs), _missing_cells(root, tracking_uri, cells)
-    return _send(root, Tracker(root, tracking_uri), *missing) if any(missing) else ([], [])
+) -> tuple[list[str], list[str], int]:
+    """Send what is missing; return the runs sent, a line per unreadable run or cell, and the number of runs
+    left to their sessions."""
+    folders, places, attended = _missing(root, tracking_uri, runs, cells)
+    if not folders and not places:
+        return [], [], attended
+    return (*_send(root, Tracker(root, tracking_uri), folders, places), attended)
 
 
-def _missing_cells(
-    root: Path, tracking_uri: str | None, cells: Iterable[CellSummary]
-) -> list[tuple[str, str]]:
-    """Return (study, cell) of the summaries that MLflow lacks."""
+def _missing(
+    root: Path,
+    tracking_uri: str | None,
+    runs: Iterable[tuple[Path, RunRecord]],
+    cells: Iterable[CellSummary],
+) -> tuple[list[Path], list[tuple[str, str]], int]:
+    """Return the run folders and the cells, (study, cell), that MLflow lacks, and the number of runs that
+    their live sessions are sending there."""
     uri = tracking_uri or database_uri(root)
-    return [(cell.study, cell.cell) for cell in cells if not cell.is_sent(uri)]
+    lacking = [run for run in runs if not _is_complete(*run, root, tracking_uri)]
+    free = [folder for folder, record in lacking if not _is_attended(record, tracking_uri)]
+    cells = [cell for cell in cells if not is_attended(cell.tracking_uri, cell.session, tracking_uri)]
+    places = [(cell.study, cell.cell) for cell in cells if not cell.is_sent(uri)]
+    return free, places, len(lacking) - len(free)
 
 
-def _missing(root: Path, tracking_uri: str | None, runs: Iterable[tuple[Path, RunRecord]]) -> list[Path]:
-    return [folder for folder, record in runs if not _is_complete(folder, record, root, tracking_uri)]
+def _is_attended(record: RunRecord, target: str | None) -> bool:
+    """Return whether a live session, or this process, is sending a run to `target`."""
+    if is_attended(record.tracking_uri, record.session, target):
+        return True
+    is_own = target is not None and record.tracking_uri == target and record.session == Process.current()
+    return is_own and record.settled_status == "RUNNING"
 
 
 def _send(
@@ -253,20 +282,15 @@ def _end_cells(root: Path, tracker: Tracker, places: Collection[tuple[str, str]]
     return unreadable
 
 
-def _unattended_runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:
-    """Return the runs that no other live session can be sending, the newest first, and one line per
-    unreadable run."""
+def _runs(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[str]]:
+    """Return all runs, the newest first, and one line per unreadable run."""
     runs: list[tuple[Path, RunRecord]] = []
     lines = []
     for folder in sorted(run_folders(root)):
         try:
-            record = RunRecord.read(folder)
+            runs.append((folder, RunRecord.read(folder)))
         except HeadwayError as error:
             lines.append(str(error))
-            continue
-        ended = record.settled_status != "RUNNING"
-        if is_unattended(record.tracking_uri, record.session) and (ended or record.tracking_uri is None):
-            runs.append((folder, record))
     return sorted(runs, key=lambda run: run[1].started, reverse=True), lines
 
 

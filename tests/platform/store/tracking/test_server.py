@@ -21,7 +21,7 @@ from headway.store.parquet_log import RunLog
 from headway.store.session import Cell, Run, SessionStore
 from headway.store.tracking import thread
 from headway.store.tracking.client import require_answer
-from headway.store.tracking.sync import sync_each
+from headway.store.tracking.sync import Synced, sync_each
 
 ITERATIONS = 40
 PATIENCE_S = 300.0
@@ -138,7 +138,7 @@ def test_a_server_that_reconnects_receives_everything_once(
         status, points, metrics = stored(line.uri, "lost", run.run_id)
         assert (status, metrics["summary/final_reward"]) == ("FINISHED", reward)
         assert points == expected(ITERATIONS)
-    assert sync_each(tmp_path) == ((), ())
+    assert sync_each(tmp_path) == Synced()
 
 
 def _points_of(line: Line, study: str, run_id: str) -> list[tuple[int, float]]:
@@ -162,12 +162,16 @@ def test_the_next_session_sends_what_an_unreachable_server_missed(
     assert "headway sync" in notice
     with pytest.raises(HeadwayError, match="cannot be reached"):
         SessionStore.open(config)
+    local = Cell(SessionStore.open(StoreConfig(root=str(tmp_path))), "here", "bus", "mappo", {})
+    live = local.begin_run(0, "seed: 0\n", {}, iterations=ITERATIONS)
+    done = sync_each(tmp_path)  # the store's database gets its runs nevertheless
+    assert (done.runs, len(done.failures)) == ((live.run_id,), 1)
 
     line.is_cut = False
     other = SessionStore.open(config)
     assert other.close() == ()
     assert stored(line.uri, "away", run.run_id)[:2] == ("FINISHED", expected(ITERATIONS))
-    assert sync_each(tmp_path) == ((), ())
+    assert sync_each(tmp_path) == Synced()
     assert capsys.readouterr().out == ""  # MLflow would print the run's address
 
 
