@@ -108,12 +108,15 @@ def recorded_day(raw: Path, tables: Tables, day_type: str) -> RecordedDay:
             "load": calls["load_before"] + calls["board"] - calls["alight"],
         }
     )
-    return RecordedDay(stated, _numbered(frame), day.fares)
+    by_trip = frame.groupby("trip")["stop"]
+    frame = frame.assign(seq0=by_trip.cumcount(), calls=by_trip.transform("size"))
+    return RecordedDay(stated, _with_ends(frame), day.fares)
 
 
 def _day_of_csv(folder: Path, tables: Tables, stated: str) -> RecordedDay:
     """Return the recorded day of a date in calls.csv, as `recorded_day` does."""
-    calls, _ = read_calls(folder, read_lines(folder), Counter())
+    lines = read_lines(folder)
+    calls, _ = read_calls(folder, lines, Counter())
     calls = calls[(calls["date"] == stated) & calls["line"].isin(tables.patterns["line"])]
     if calls.empty:
         raise HeadwayError(
@@ -127,6 +130,8 @@ def _day_of_csv(folder: Path, tables: Tables, stated: str) -> RecordedDay:
             "dir": calls["direction"],
             "pattern": calls["pattern"],
             "trip": calls["run"],
+            "seq0": calls["seq0"],
+            "calls": lines.groupby("pattern").size().reindex(calls["pattern"]).to_numpy(),
             "stop": calls["stop"],
             "arrived": calls["arrival"],
             "left": calls["departure"],
@@ -135,17 +140,12 @@ def _day_of_csv(folder: Path, tables: Tables, stated: str) -> RecordedDay:
             "load": gained.groupby(calls["run"]).cumsum(),
         }
     )
-    return RecordedDay(stated, _numbered(frame), has_counts(calls))
+    return RecordedDay(stated, _with_ends(frame), has_counts(calls))
 
 
-def _numbered(calls: pd.DataFrame) -> pd.DataFrame:
-    """Return recorded calls, in driving order, with `seq0`, `calls`, `visit` and the trips' ends marked."""
-    by_trip = calls.groupby("trip")
-    day = calls.assign(
-        seq0=by_trip.cumcount(),
-        calls=by_trip["stop"].transform("size"),
-        visit=calls.groupby(["trip", "stop"]).cumcount(),
-    )
+def _with_ends(calls: pd.DataFrame) -> pd.DataFrame:
+    """Return recorded calls, in driving order, with `visit` and the trips' ends marked."""
+    day = calls.assign(visit=calls.groupby(["trip", "stop"]).cumcount())
     day.loc[day["seq0"] == day["calls"] - 1, ["left", "load"]] = np.nan
     day.loc[day["seq0"] == 0, "arrived"] = np.nan
     return day.reset_index(drop=True)

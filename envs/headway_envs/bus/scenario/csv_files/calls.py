@@ -11,6 +11,7 @@ from headway.contracts import HeadwayError
 from headway_envs.bus.scenario.csv_files.files import read_file, refuse, refuse_repeated
 from headway_envs.bus.scenario.csv_files.lines import place_calls
 from headway_envs.bus.scenario.link_times import plausible_drives
+from headway_envs.bus.scenario.measures import TIMED_HOURS
 
 _MIDNIGHT = "write times after midnight as 24:10, or drop the trip"
 _COUNTS = ["boardings", "alightings"]
@@ -24,6 +25,7 @@ def read_calls(
 
     Added columns: daytype, pattern, seq0, `run` (number of the trip among those of all dates) and `time`
     (arrival; at the first call, departure; s). The timetable is that of the date with the most trips.
+    Boardings at the last stop of a direction, often those of the next trip, are counted and set to 0.
     """
     calls = place_calls(read_file(folder, "calls"), "calls", lines)
     timeless = calls["arrival"].isna() & calls["departure"].isna()
@@ -54,28 +56,52 @@ def read_calls(
     calls = calls[~saturday & ~single]
     if calls.empty:
         raise HeadwayError("calls.csv has no trip of two calls on a weekday or Sunday: add some")
+    last = lines.groupby("pattern")["seq0"].max().reindex(calls["pattern"]).to_numpy()
+    late = (calls["seq0"] == last) & (calls["boardings"] > 0)
+    counted["boardings at the last stop of a direction, left out"] += round(
+        calls.loc[late, "boardings"].sum()
+    )
+    calls = calls.assign(boardings=calls["boardings"].mask(late, 0.0))
     trips = calls.drop_duplicates("run").groupby("daytype")["date"]
     dates = {str(day): str(own.mode().iloc[0].date()) for day, own in trips}
     return calls, dates
 
 
 def trips_of_calls(
-    calls: pd.DataFrame, dates: dict[str, str], lines: pd.DataFrame, counted: Counter[str]
+    calls: pd.DataFrame,
+    dates: dict[str, str],
+    link: "pd.Series[int]",
+    times: pd.DataFrame,
+    counted: Counter[str],
 ) -> pd.DataFrame:
-    """Return the trips of the timetable's dates: pattern, vehicle (name), dep_s, arr_s, daytype."""
+    """Return the trips of the timetable's dates: pattern, vehicle (name), dep_s, arr_s, daytype.
+
+    Missing first or last calls of a trip are completed by `times`, the table link_times; `link` by pattern
+    and seq0.
+    """
     own = calls[calls["date"] == pd.to_datetime(calls["daytype"].map(dates))]
     trips = own.groupby("run").agg(
         pattern=("pattern", "first"),
         vehicle=("vehicle", "first"),
         dep_s=("time", "min"),
         arr_s=("time", "max"),
-        n=("seq0", "size"),
+        first=("seq0", "min"),
+        last=("seq0", "max"),
         daytype=("daytype", "first"),
     )
-    length = lines.groupby("pattern").size().reindex(trips["pattern"]).to_numpy()
-    counted["trips that lack calls of their direction, kept as whole"] += int((trips["n"] < length).sum())
+    ends = link.reset_index().groupby("pattern")["seq0"].max().reindex(trips["pattern"]).to_numpy()
+    partial = trips[(trips["first"] > 0) | (trips["last"] < ends)].reset_index()
+    counted["trips without their first or last calls, completed by link times"] += len(partial)
+    legs = link.rename("link").reset_index().merge(times, on="link")
+    for column, sign in (("dep_s", -1.0), ("arr_s", 1.0)):
+        hour = (partial[column] // 3600).clip(TIMED_HOURS[0], TIMED_HOURS[-1])
+        driven = partial.assign(hour=hour).merge(legs, on=["pattern", "daytype", "hour"])
+        before, after = driven["seq0"] <= driven["first"], driven["seq0"] > driven["last"]
+        missing_s = driven[before if sign < 0 else after].groupby("run")["mean_s"].sum().round()
+        trips[column] += sign * missing_s.reindex(trips.index, fill_value=0.0)
+    trips["dep_s"] = trips["dep_s"].clip(lower=0.0)
     trips = trips.sort_values(["daytype", "dep_s", "pattern"], kind="stable", ignore_index=True)
-    return trips.drop(columns="n")
+    return trips.drop(columns=["first", "last"])
 
 
 def drives_of_calls(

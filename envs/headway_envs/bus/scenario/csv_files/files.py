@@ -73,6 +73,7 @@ FILES: Mapping[str, Mapping[str, Column]] = {
 }
 """Columns of each file NAME.csv; docs/howto/scenario.md describes them."""
 _TIME = r"(\d{1,2}):([0-5]\d)(?::([0-5]\d))?"
+_LATEST_S = 48 * 3600.0
 _WANTED = {
     "date": "a date YYYY-MM-DD",
     "time": "a time HH:MM or HH:MM:SS of 24 hours",
@@ -106,6 +107,8 @@ def read_file(folder: Path, name: str) -> pd.DataFrame:
         if wanted:
             wrong = frame[column].isna() & ~blank
             refuse(name, texts, column, wrong, f"is not {wanted}; correct it")
+        if expected.kind == "time":
+            refuse(name, frame, column, frame[column] > _LATEST_S, "is after 48:00; correct it")
         if "number" in expected.kind:
             outside = (frame[column] < expected.low) | (frame[column] > expected.high)
             limits = f"lies outside {expected.low:g} to {expected.high:g}; correct it"

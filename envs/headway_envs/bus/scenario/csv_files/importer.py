@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from headway.contracts import HeadwayError
+from headway_envs.bus.kernel.layout import KNOT_HOURS
 from headway_envs.bus.scenario.blocks import chain_at_terminals, terminals
 from headway_envs.bus.scenario.csv_files.calls import (
     counts_of_calls,
@@ -39,7 +40,7 @@ def import_csv(folder: Path) -> Tables:
         )
     counted: Counter[str] = Counter()
     lines = read_lines(folder)
-    network = _network(folder, lines)
+    network = _network(folder, lines, counted)
     made_from: dict[str, str] = {}
     meta: dict[str, object] = {"source": f"CSV files of {folder.resolve().name}", "licence": "the operator's"}
     if is_there(folder, "calls"):
@@ -48,8 +49,8 @@ def import_csv(folder: Path) -> Tables:
                 f"FOLDER: {spare[0]}.csv says again what calls.csv records; remove one of them"
             )
         calls, dates = read_calls(folder, lines, counted)
-        trips = trips_of_calls(calls, dates, lines, counted)
         times = _smoothed_times(calls, network, counted)
+        trips = trips_of_calls(calls, dates, _link_of_calls(network), times, counted)
         meta["dates"] = dates
         made_from["link_times"] = f"calls.csv, {calls['date'].nunique()} days"
     else:
@@ -82,17 +83,22 @@ def import_csv(folder: Path) -> Tables:
     )
 
 
-def _network(folder: Path, lines: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """Return the tables stops, patterns, pattern_stops and links."""
+def _network(folder: Path, lines: pd.DataFrame, counted: Counter[str]) -> dict[str, pd.DataFrame]:
+    """Return the tables stops, patterns, pattern_stops and links.
+
+    A link's length is the mean of its distances in lines.csv or, if there are none, the straight line.
+    """
     stops = read_file(folder, "stops")
     refuse_repeated("stops", stops, ["stop"], "stop", "names an earlier stop; keep one")
     row = pd.Index(stops["stop"]).get_indexer(pd.Index(lines["stop"]))
     refuse("lines", lines, "stop", row < 0, "is not in stops.csv; add it there or correct it")
     lat, lon = (stops[name].to_numpy()[row] for name in ("lat", "lon"))
     straight = distance_m(np.roll(lat, 1), np.roll(lon, 1), lat, lon)
-    legs = lines["distance_m"].fillna(pd.Series(straight, lines.index)).clip(lower=1.0).round()
-    calls = lines[["pattern", "seq0"]].assign(stop=row, before=np.roll(row, 1), leg_m=legs)
-    inner = calls["seq0"] > 0
+    inner = lines["seq0"] > 0
+    calls = lines[["pattern", "seq0"]].assign(stop=row, before=np.roll(row, 1))
+    stated = lines["distance_m"].where(inner).round().groupby([calls["before"], calls["stop"]])
+    counted["links of several distances, given their mean"] += int((stated.max() > stated.min()).sum())
+    calls["leg_m"] = stated.transform("mean").fillna(pd.Series(straight, lines.index)).clip(lower=1.0).round()
     refuse("lines", lines, "stop", inner & (calls["stop"] == calls["before"]), "follows itself; drop the row")
     links = calls[inner].drop_duplicates(["before", "stop"]).reset_index(drop=True)
     ends = pd.MultiIndex.from_frame(links[["before", "stop"]])
@@ -177,11 +183,18 @@ def _mean_times(
     )
     leads = network["pattern_stops"]["link"].to_numpy()
     for day, own in trips.groupby("daytype"):
-        timed = np.isin(leads, table.loc[table["daytype"] == day, "link"]) | (lines["seq0"] == 0)
+        usable = (table["daytype"] == day) & table["hour"].isin(KNOT_HOURS)
+        timed = np.isin(leads, table.loc[usable, "link"]) | (lines["seq0"] == 0)
         untimed = lines["pattern"].isin(own["pattern"]) & ~timed
-        what = f"has no time on a {day} from the stop before; add it to link_times.csv"
+        hours = f"for an hour from {KNOT_HOURS[0]} to {KNOT_HOURS[-1]}"
+        what = f"has no time on a {day} from the stop before {hours}; add it to link_times.csv"
         refuse("lines", lines, "stop", untimed, what)
     return table
+
+
+def _link_of_calls(network: dict[str, pd.DataFrame]) -> "pd.Series[int]":
+    """Return the link that leads to each call, by pattern and seq0."""
+    return network["pattern_stops"].set_index(["pattern", "seq0"])["link"]
 
 
 def _smoothed_times(
@@ -189,7 +202,7 @@ def _smoothed_times(
 ) -> pd.DataFrame:
     """Return the table link_times from the recorded drives of each day type."""
     metres = network["links"]["leg_m"].to_numpy(np.float64)
-    link = network["pattern_stops"].set_index(["pattern", "seq0"])["link"]
+    link = _link_of_calls(network)
     days = calls.groupby("daytype")
     parts = [
         smoothed_link_times(drives_of_calls(own, link, metres, counted), metres, counted).assign(daytype=day)
@@ -212,6 +225,8 @@ def _counts(folder: Path, lines: pd.DataFrame) -> pd.DataFrame:
     rows = rows.rename(columns={"day_type": "daytype"})
     if rows["to_stop"].notna().any():
         refuse("demand", rows, "to_stop", rows["to_stop"].isna(), "is blank; fill it in, or in no row")
+        both = rows["alightings"].notna()
+        refuse("demand", rows, "alightings", both, "is given beside to_stop; remove one of the columns")
         rows = pd.concat([rows.assign(alightings=0.0), _alightings_of_pairs(rows, lines)])
     elif rows["alightings"].notna().any():
         blank = rows["alightings"].isna()
@@ -229,21 +244,23 @@ def _alightings_of_pairs(rows: pd.DataFrame, lines: pd.DataFrame) -> pd.DataFram
 
 
 def _demand(counts: pd.DataFrame, trips: pd.DataFrame, counted: Counter[str]) -> pd.DataFrame:
-    """Return the table demand. Raises HeadwayError for a day type with trips and without boardings."""
+    """Return the table demand of hours with trips.
+
+    Raises HeadwayError for a day type with trips and without boardings.
+    """
     hours = counts["hour"].clip(upper=_LAST_HOUR).astype(np.int64)
     keys = ["daytype", "pattern", "seq0", "hour"]
     table = counts.assign(hour=hours).groupby(keys)["boardings"].sum().reset_index()
     table = table[table["boardings"] > 0]
-    for day in trips["daytype"].unique():
-        if not (table["daytype"] == day).any():
-            raise HeadwayError(f"FOLDER: there are trips but no boardings on a {day}: {_MAKE}")
     running = ["daytype", "pattern"]
     spans = trips.groupby(running).agg(first=("dep_s", "min"), last=("arr_s", "max")) // 3600
     span = spans.reindex(pd.MultiIndex.from_frame(table[running])).to_numpy()
     outside = ~((table["hour"] >= span[:, 0] - 1) & (table["hour"] <= span[:, 1]))
-    counted["boardings in hours without a trip, who never come"] += round(
-        table.loc[outside, "boardings"].sum()
-    )
+    counted["boardings in hours without trips, left out"] += round(table.loc[outside, "boardings"].sum())
+    table = table[~outside]
+    for day in trips["daytype"].unique():
+        if not (table["daytype"] == day).any():
+            raise HeadwayError(f"FOLDER: a {day} has trips but no boardings in their hours: {_MAKE}")
     leaving = trips.assign(hour=trips["dep_s"] // 3600).groupby([*running, "hour"]).size()
     calls = leaving.reindex(pd.MultiIndex.from_frame(table[[*running, "hour"]])).fillna(0)
     return table.assign(calls=calls.to_numpy(np.int64)).rename(columns={"boardings": "board"})

@@ -111,11 +111,14 @@ def test_origin_destination_counts_give_both_ends(example: Path) -> None:
         ("lines", "out,Station", "oot,Station", "row 2, column stop: 'Station' is the only stop of its dir"),
         ("trips", "07:06", "7.06", "trips.csv, row 2, column arrival: '7.06' is not a time HH:MM or"),
         ("trips", "07:06", "00:06", "trips.csv, row 2, column arrival: '00:06:00' is before the departure"),
+        ("trips", "07:06", "81:00", "trips.csv, row 2, column arrival: '81:00:00' is after 48:00; correct"),
         ("trips", "1,out", "1,west", "trips.csv, row 2, column direction: 'west' is not a direction of this"),
         ("trips", "line,", "day_typ,line,", "trips.csv, row 1: there is no column day_type: rename 'day"),
         ("link_times", "165", "16", "link_times.csv, row 2, column mean_s: '16.0' is faster than 90 km/h"),
         ("link_times", "Station,Market", "Station,Hospital", "row 2, column to_stop: 'Hospital' does not"),
         ("link_times", "Station,Market,7,165,35\n", "", "lines.csv, row 3, column stop: 'Market' has no"),
+        ("link_times", "Market,7", "Market,2", "lines.csv, row 3, column stop: 'Market' has no time on a"),
+        ("link_times", "Market,7", "Market,30", "the stop before for an hour from 3 to 27; add it to link"),
         ("link_times", "Hospital,Market,7", "Station,Market,7", "row 4, column hour: '7.0' repeats"),
         ("link_times", ",7,165", ",7.5,165", "row 2, column hour: '7.5' is not a whole number; correct it"),
         ("demand", "Station,7,84", "Station,7,-84", "row 2, column boardings: '-84' lies outside 0 to"),
@@ -133,6 +136,33 @@ def test_a_fault_is_named_by_file_row_and_column(
         import_csv(example)
     assert said in str(error.value), error.value
     assert "\n" not in str(error.value)
+
+
+def test_pairs_with_alightings_are_refused(example: Path) -> None:
+    (example / "demand.csv").write_text(
+        "line,direction,stop,to_stop,hour,boardings,alightings\n1,out,Station,Market,7,20,3\n"
+    )
+    with pytest.raises(HeadwayError, match=r"row 2, column alightings: '3.0' is given beside to_stop; rem"):
+        import_csv(example)
+
+
+def test_boardings_without_trips_are_left_out(example: Path) -> None:
+    rows = [f"{day},1,out,Station,{hour},{n}" for day, hour, n in
+            (("weekday", 7, 9), ("weekday", 12, 4), ("sunday", 7, 2))]  # fmt: skip
+    (example / "demand.csv").write_text("day_type,line,direction,stop,hour,boardings\n" + "\n".join(rows))
+    tables = import_csv(example)
+    assert tables.demand["board"].tolist() == [9.0]
+    assert tables.meta["counted"] == {"boardings in hours without trips, left out": 6}
+    _edit(example, "demand", "Station,7,9", "Station,13,9")
+    with pytest.raises(HeadwayError, match="a weekday has trips but no boardings in their hours: make"):
+        import_csv(example)
+
+
+def test_a_link_of_two_distances_has_their_mean(example: Path) -> None:
+    _edit(example, "lines", "1,out,Hospital,720\n", "1,out,Hospital,720\n2,out,Station,\n2,out,Market,650\n")
+    tables = import_csv(example)
+    assert sorted(tables.links["leg_m"]) == [640.0, 645.0, 720.0, 720.0]
+    assert tables.meta["counted"] == {"links of several distances, given their mean": 1}
 
 
 def test_a_loop_needs_positions(example: Path) -> None:
@@ -226,6 +256,38 @@ def test_a_recorded_day_is_compared_with_the_user_s_own_calls(recorded: tuple[Pa
     another = replace(tables, meta={"dates": {"weekday": "2024-05-16"}})
     with pytest.raises(HeadwayError, match=r"has no trip of the scenario's lines on 2024-05-16"):
         recorded_day(folder, another, "weekday")
+
+
+def test_boardings_at_the_last_stop_are_left_out(tmp_path: Path) -> None:
+    _write(tmp_path, "stops", "lines", "calls")
+    _edit(tmp_path, "calls", "07:06:02,,0,17", "07:06:02,,5,17")
+    tables = import_csv(tmp_path)
+    assert tables.demand["board"].sum() == 19 + 6
+    assert tables.meta["counted"]["boardings at the last stop of a direction, left out"] == 5
+    assert recorded_day(tmp_path, tables, "weekday").calls["boarded"].sum() == 19 + 6
+
+
+def test_a_partly_recorded_trip_is_completed_and_not_judged(tmp_path: Path) -> None:
+    _write(tmp_path, "stops", "lines", "calls")
+    file = tmp_path / "calls.csv"
+    heading, first, middle, last = file.read_text(encoding="utf-8").splitlines()
+    late = [row.replace("101,A", "102,B").replace("07:0", "07:3") for row in (middle, last)]
+    early = [row.replace("101,A", "103,C").replace("07:0", "07:4") for row in (first, middle)]
+    file.write_text("\n".join([heading, first, middle, last, *late, *early]), encoding="utf-8")
+    tables = import_csv(tmp_path)
+    assert tables.meta["counted"]["trips without their first or last calls, completed by link times"] == 2
+    times = tables.link_times[tables.link_times["hour"] == 7].set_index("link")["mean_s"]
+    links = tables.pattern_stops.query("pattern == 1").set_index("seq0")["link"]
+    clock = 7 * 3600
+    assert tables.trips["dep_s"].tolist() == [
+        clock + 20, clock + 32 * 60 + 48 - round(times[links[1]]), clock + 40 * 60 + 20
+    ]  # fmt: skip
+    assert tables.trips["arr_s"].tolist() == [
+        clock + 362, clock + 36 * 60 + 2, clock + 42 * 60 + 48 + round(times[links[2]])
+    ]  # fmt: skip
+    day = recorded_day(tmp_path, tables, "weekday").calls
+    whole = trip_statistics.finished_trips(day, pd.Series({1: 1.36}))
+    assert (whole["arr"] - whole["dep"]).tolist() == [342.0]
 
 
 @pytest.mark.parametrize(
