@@ -74,7 +74,7 @@ def cost_of(experiment: Experiment) -> Cost:
     learner = entry.learner(experiment.algo_config, setup.spec, seeds, "cpu")
     with closing(SerialCollector(plan)) as collector:
         collector.begin()
-        mode, done = SynchronousMode(learner, collector), 1
+        mode, done = SynchronousMode(learner, collector, 0, config.start, config.iterations), 1
         mode.iterate(1, 0.0)
         began = time.process_time()
         while done < 3 or time.process_time() - began < MIN_MEASURED_S:

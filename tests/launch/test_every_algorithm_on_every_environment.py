@@ -14,6 +14,7 @@ from gpu import needs_gpu
 from learned import assert_close, assert_equal, reloaded, tensors
 from numpy.typing import NDArray
 
+from headway.config.experiment import StartConfig
 from headway.config.schema import build
 from headway.contracts import (
     AlgoEntry,
@@ -161,7 +162,7 @@ def opened(plan: RolloutPlan, entry: AlgoEntry, config: object, device: str) -> 
     learner = entry.learner(config, plan.spec, plan.seeds, device)
     if entry.contributor is None:
         collector = SerialCollector(plan)
-        return learner, collector, SynchronousMode(learner, collector)
+        return learner, collector, SynchronousMode(learner, collector, 0, StartConfig(), iterations=1000)
     assert isinstance(learner, AsynchronousLearner)
     contributors = SerialContributors(AsynchronousPlan(plan, entry.contributor, config), print)
     return learner, contributors, AsynchronousMode(learner, contributors, iterations=1000)

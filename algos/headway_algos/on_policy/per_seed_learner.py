@@ -47,7 +47,7 @@ class PerSeedLearner:
         return self._learn([learner.imitate for learner in self.learners], trajectory, iteration, iterations)
 
     def anchor(self, kl_coeff: float, critic_only: bool) -> None:
-        """Tell each learner."""
+        """Anchor each learner."""
         for learner in self.learners:
             learner.anchor(kl_coeff, critic_only)
 

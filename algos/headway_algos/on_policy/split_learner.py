@@ -56,7 +56,7 @@ class SplitLearner:
         return self.separate.update(trajectory, iteration, progress)
 
     def anchor(self, kl_coeff: float, critic_only: bool) -> None:
-        """Tell both learners: at the split the separate ones take over the shared policy's start too."""
+        """Anchor both learners: at the split the separate one takes over the shared policy's start too."""
         for learner in (self.shared, self.separate):
             learner.anchor(kl_coeff, critic_only)
 

@@ -159,9 +159,10 @@ class MergeConfig:
     @property
     def slots(self) -> tuple[int, int]:
         """Maximum numbers of CAVs and of HDVs for which there is room."""
-        density = self.density if self.max_density is None else self.max_density
-        cavs = self.cav_range[1] if self.max_density is None else max(self.cav_range[1], CAVS[density][1])
-        return cavs, HDVS[density][1]
+        cavs, hdvs = self.cav_range[1], self.hdv_range[1]
+        if self.max_density is None:
+            return cavs, hdvs
+        return max(cavs, CAVS[self.max_density][1]), HDVS[self.max_density][1]
 
     @property
     def dynamics(self) -> Dynamics:

@@ -26,6 +26,9 @@ def start_line(name: str, root: Path, directories: Sequence[Path], metric: str) 
         parts.append(_from_rule(config, root, directories, metric))
     elif start.get("run"):
         parts.append(_from_run(root, start["run"]))
+    anchors = [f"start.{key}={start[key]}" for key in ("kl_coeff", "critic_iterations") if start.get(key)]
+    if anchors:
+        parts.append(f"was kept near that start by {' and '.join(anchors)}")
     if stages := config.get("stages"):
         parts.append(f"was trained in stages: {', then '.join(map(_stage, stages))}")
     return f"{name} {'; it '.join(parts)}" if parts else None

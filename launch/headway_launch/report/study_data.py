@@ -4,12 +4,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from headway.config.experiment import last_iterations
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS
 from headway.rollout.lookahead import is_lookahead
@@ -180,16 +180,12 @@ class StudyData:
         return list(groups.values())
 
     @cached_property
-    def stage_ends(self) -> dict[str, list[int]]:
-        """Environment steps after which another stage of training begins, by task, over all its cells."""
-        ends: dict[str, set[int]] = {}
+    def stage_ends(self) -> dict[str, tuple[int, ...]]:
+        """Environment steps after which another stage of training begins, by task whose cells all agree."""
+        ends: dict[str, set[tuple[int, ...]]] = {}
         for (task, _), members in self.cells.items():
-            config = configuration(members[0].directory)
-            steps = [stage["env_steps"] for stage in config.get("stages") or ()]
-            iteration = config["rollout"]["copies"] * config["rollout"]["steps"]
-            sums = accumulate(steps[:-1])
-            ends.setdefault(task, set()).update(-(-total // iteration) * iteration for total in sums)
-        return {task: sorted(found) for task, found in ends.items()}
+            ends.setdefault(task, set()).add(_stage_ends(configuration(members[0].directory)))
+        return {task: found.pop() for task, found in ends.items() if len(found) == 1}
 
     @cached_property
     def scores(self) -> pd.DataFrame:
@@ -380,6 +376,12 @@ class StudyData:
             f"the runs of {self.study} have no evaluation mode in common: some were evaluated only greedily, "
             "others only sampled; train them with a common mode, such as evaluation.modes=[greedy]"
         )
+
+
+def _stage_ends(config: Mapping[str, Any]) -> tuple[int, ...]:
+    iteration_steps = config["rollout"]["copies"] * config["rollout"]["steps"]
+    lengths = [stage["env_steps"] for stage in config.get("stages") or ()]
+    return tuple(last * iteration_steps for last in last_iterations(lengths[:-1], iteration_steps))
 
 
 def _reward_wrappers(env: Mapping[str, Any]) -> list[Mapping[str, Any]]:

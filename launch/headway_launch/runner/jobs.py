@@ -65,7 +65,7 @@ class PlannedJob:
             seeds,
             environment.training,
         )
-        later = tuple(
+        later_plans = tuple(
             replace(plan, training_prepared=data, stage=stage)
             for stage, data in enumerate(environment.stages)
             if stage > 0
@@ -77,7 +77,7 @@ class PlannedJob:
             algo.learner,
             experiment.algo_config,
             replace(config, seed=seeds),
-            later=later,
+            later_plans=later_plans,
             make_contributor=algo.contributor,
             contributor_preload=algo.preload,
         )

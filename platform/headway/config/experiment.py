@@ -2,7 +2,7 @@
 
 import re
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import accumulate, pairwise
 from typing import Any, Literal
@@ -204,9 +204,9 @@ class StartConfig:
             )
 
     @property
-    def anchors(self) -> bool:
-        """Whether policies are kept near the start, by a penalty or by training the critic alone."""
-        return self.kl_coeff > 0 or self.critic_iterations > 0
+    def anchors(self) -> tuple[str, ...]:
+        """The keys set of those that keep policies near the start."""
+        return tuple(key for key in ("kl_coeff", "critic_iterations") if getattr(self, key) > 0)
 
 
 @dataclass(frozen=True)
@@ -346,7 +346,8 @@ class ExperimentConfig:
         require_key(
             not self.stages or self.env_steps == total,
             "env_steps",
-            f"of {self.env_steps} is not the sum of the stages', {total}; leave it out",
+            f"of {self.env_steps} is not the sum of the stages', {total}; set env_steps={total:_}, or change "
+            "the stages",
         )
         lengths = [end - begin for begin, end in pairwise((0, *self.stage_ends))]
         require_key(
@@ -372,13 +373,13 @@ class ExperimentConfig:
     @property
     def iterations(self) -> int:
         """Iterations needed to reach `env_steps`, rounded up."""
-        return self._iterations_of(self.env_steps)
+        return -(-self.env_steps // self._iteration_steps)
 
     @property
     def stage_ends(self) -> tuple[int, ...]:
         """Last iteration of each stage."""
-        sums = accumulate(stage.env_steps for stage in self.stages)
-        return tuple(map(self._iterations_of, sums)) or (self.iterations,)
+        lengths = (stage.env_steps for stage in self.stages)
+        return last_iterations(lengths, self._iteration_steps) or (self.iterations,)
 
     def stage_after(self, iteration: int) -> int:
         """Return the place of the stage in which training is after an iteration."""
@@ -387,7 +388,13 @@ class ExperimentConfig:
     @property
     def rule_iterations(self) -> int:
         """Number of first iterations in which the rule `start.rule` acts; 0 without one."""
-        return self._iterations_of(self.start.env_steps) if self.start.rule else 0
+        return -(-self.start.env_steps // self._iteration_steps) if self.start.rule else 0
 
-    def _iterations_of(self, env_steps: int) -> int:
-        return -(-env_steps // (self.rollout.copies * self.rollout.steps))
+    @property
+    def _iteration_steps(self) -> int:
+        return self.rollout.copies * self.rollout.steps
+
+
+def last_iterations(lengths: Iterable[int], iteration_steps: int) -> tuple[int, ...]:
+    """Return the last iteration of each stage: the one that reaches the stage's last environment step."""
+    return tuple(-(-total // iteration_steps) for total in accumulate(lengths))

@@ -31,7 +31,10 @@ def _any_budget(config: Any, iterations: int) -> str | None:  # noqa: ANN401 - a
 
 
 def _no_anchor(config: Any, kl_coeff: float) -> str | None:  # noqa: ANN401 - any record
-    return "start.kl_coeff and start.critic_iterations are for on-policy algorithms, such as algo=ippo"
+    return (
+        "this algorithm supports neither start.kl_coeff nor start.critic_iterations; leave them out, or use "
+        "another algorithm, such as algo=ippo"
+    )
 
 
 def _any_rollout(config: Any) -> Mapping[str, int]:  # noqa: ANN401 - any record

@@ -89,7 +89,7 @@ class TrainingJob:
     resume: bool = False
     parent: ParentRun | None = None
     """None: training starts from random parameters or from the plan's rule."""
-    later: tuple[RolloutPlan, ...] = ()
+    later_plans: tuple[RolloutPlan, ...] = ()
     """Plans of the stages after the first, which has `plan`; they differ in the training environment."""
     make_contributor: MakeContributor | None = None
     """The algorithm entry's `contributor`; None: training is synchronous."""
@@ -142,9 +142,6 @@ class _Training:
         self.logs = [RunLog(Path(directory), gate) for directory, gate in folders]
         self.learner = job.make_learner(job.algo_config, job.spec, job.seeds, job.config.device)
         _require_start(job, self.learner)
-        self.stage, self.ended = 0, Usage()
-        """Usage of the workers of stages that have ended."""
-        self.backend, self.mode = self._open(job.plan)
         self.best = BestPolicies(len(job.seeds))
         self.iteration = 0
         """Iterations finished."""
@@ -152,8 +149,16 @@ class _Training:
         """Iteration of the newest checkpoint; -1: none."""
         self.seconds_before = 0.0
         """Wall time of earlier sessions of the run."""
+        self.snapshots: list[Any] = []
+        """Episodes of the checkpoint that training resumes from, until they are continued."""
         self.episodes_restarted = False
         self.store_s = 0.0
+        if job.resume:
+            self._load_checkpoint()
+        self.stage = self.config.stage_after(self.iteration)
+        self.ended = Usage()
+        """Usage of the workers of stages that have ended."""
+        self.backend, self.mode = self._open()
         self.started = time.monotonic()
         self.own_usage = OwnUsage()
 
@@ -184,8 +189,7 @@ class _Training:
             if ends or self.iteration % self.config.store.checkpoint_every == 0:
                 self._checkpoint()
             if ends and self.iteration < total:
-                self._enter(self.stage + 1)
-                self.backend.begin()
+                self._enter_next_stage()
         if self.saved_iteration < self.iteration:
             self._checkpoint()
         if self.iteration >= total:
@@ -194,15 +198,17 @@ class _Training:
         stopped = self.iteration < total
         self.report(Finished(self.iteration, stopped, self._usage(), self.store_s))
 
-    def _open(self, plan: RolloutPlan) -> tuple[Backend, Mode]:
+    def _open(self) -> tuple[Backend, Mode]:
+        plan = (self.job.plan, *self.job.later_plans)[self.stage]
         return _open_mode(self.job, plan, self.learner, lambda line: self.report(Notice(line)))
 
-    def _enter(self, stage: int) -> None:
-        """Replace the workers by those of another stage."""
+    def _enter_next_stage(self) -> None:
+        """Replace the workers by those of the next stage."""
         self.ended += Usage(self.backend.usage().cpu_seconds)
         self.backend.close()
-        self.stage = stage
-        self.backend, self.mode = self._open((self.job.plan, *self.job.later)[stage])
+        self.stage += 1
+        self.backend, self.mode = self._open()
+        self.backend.begin()
 
     def _iterate(self, total: int) -> None:
         done = self.mode.iterate(self.iteration + 1, self.iteration / total)
@@ -326,7 +332,7 @@ class _Training:
         for line in (*notices, *started):
             self.report(Notice(line))
 
-    def _resume(self) -> None:
+    def _load_checkpoint(self) -> None:
         iteration, state, notices = load_for_resume(*self.job.checkpoints)
         for line in notices:
             self.report(Notice(line))
@@ -339,19 +345,23 @@ class _Training:
             self.best.load_state_dict(state["best"])
         if isinstance(self.learner, LearnerWithReplay) and state["replay"] is not None:
             self.learner.load_replay_state(state["replay"])
+        self.snapshots = state["snapshots"]
+
+    def _resume(self) -> None:
         if not self.mode.deterministic:
             line = "workers' contributions are applied in order of arrival, which differs from run to run"
             self.report(
-                Notice(f"{line}: after iteration {iteration} its curve is not that of a run never stopped")
+                Notice(
+                    f"{line}: after iteration {self.iteration} its curve is not that of a run never stopped"
+                )
             )
-        self._resume_episodes(state["snapshots"])
+        self._resume_episodes()
         for log in self.logs:
-            log.rewind(iteration)
+            log.rewind(self.iteration)
 
-    def _resume_episodes(self, snapshots: list[Any]) -> None:
-        """Continue the episodes of the stage that the checkpoint is from, or begin the one that follows."""
-        if (stage := self.config.stage_after(self.iteration)) != self.stage:
-            self._enter(stage)
+    def _resume_episodes(self) -> None:
+        """Continue the episodes of the checkpoint, or begin those of a stage that follows it."""
+        snapshots, self.snapshots = self.snapshots, []
         if self.iteration in self.config.stage_ends[:-1]:
             self.backend.begin()
             return
@@ -380,10 +390,11 @@ def _require_start(job: TrainingJob, learner: Learner) -> None:
             f"{entry} has starts=True, but its learner is not a headway.contracts.StartingLearner; add the "
             "missing methods, or leave out start"
         )
-    if job.config.start.anchors and not isinstance(learner, AnchoredLearner):
+    keys = " and ".join(f"start.{key}" for key in job.config.start.anchors)
+    if keys and not isinstance(learner, AnchoredLearner):
         raise HeadwayError(
-            f"{entry} allows start.kl_coeff, but its learner is not a headway.contracts.AnchoredLearner; add "
-            "its method `anchor`, or leave out start.kl_coeff and start.critic_iterations"
+            f"{entry} allows {keys}, but its learner is not a headway.contracts.AnchoredLearner; add its "
+            f"method `anchor`, or leave out {keys}"
         )
 
 

@@ -49,21 +49,26 @@ class SynchronousMode:
         self,
         learner: Learner,
         collector: Collector,
-        rule_iterations: int = 0,
-        start: StartConfig | None = None,
-        iterations: int = 1,
+        rule_iterations: int,
+        start: StartConfig,
+        iterations: int,
     ) -> None:
         """In the first `rule_iterations`, of `iterations`, a rule acts, which a `StartingLearner` imitates.
 
-        If `start` says so, an `AnchoredLearner` then stays near the policies with which it started.
+        If `start` says so, an `AnchoredLearner` then stays near the policies with which it started. Raises
+        ValueError if the rule leaves no iteration to learn in.
         """
+        if rule_iterations >= iterations:
+            raise ValueError(
+                f"the rule acts in {rule_iterations} of {iterations} iterations; leave one to learn"
+            )
         self.learner, self.collector = learner, collector
-        self.rule_iterations, self.start = rule_iterations, start or StartConfig()
+        self.rule_iterations, self.start = rule_iterations, start
         self.learning_share = 1 - rule_iterations / iterations
 
     def iterate(self, iteration: int, progress: float) -> IterationResult:
         """Sample one iteration and learn from it."""
-        start = time.monotonic()
+        began = time.monotonic()
         parameters = self.learner.acting_parameters()
         episodes = self.collector.collect(iteration, parameters)
         collected = time.monotonic()
@@ -74,7 +79,7 @@ class SynchronousMode:
         else:
             self._anchor(iteration, progress)
             metrics = self.learner.update(trajectory, iteration, progress)
-        return IterationResult(episodes, metrics, collected - start, time.monotonic() - collected)
+        return IterationResult(episodes, metrics, collected - began, time.monotonic() - collected)
 
     def _anchor(self, iteration: int, progress: float) -> None:
         if not self.start.anchors:

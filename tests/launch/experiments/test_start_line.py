@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+import yaml
 from small_runs import SMALL
 
 from headway.store.parquet_log import read_rows
@@ -61,6 +62,20 @@ def test_the_run_that_starts_from_another_says_so(root: Path, capsys: pytest.Cap
     assert run(["run", *words, "seed=5", f"start.run={parent.name}"]) == 0
     out, err = capsys.readouterr()
     assert f"ippo started from run {parent.name} (ippo on trivial), whose 192 steps" in out + err
+
+
+def test_what_keeps_policies_near_their_start_is_named(root: Path, tmp_path: Path) -> None:
+    [child] = (root / "children").glob("*-s2-*")
+    anchored = shutil.copytree(child, tmp_path / child.name)
+    config = yaml.safe_load((anchored / "config.yaml").read_text())
+    lines = []
+    for kl_coeff, critic_iterations in ((0.0, 0), (0.1, 0), (0.1, 2)):
+        config["start"].update(kl_coeff=kl_coeff, critic_iterations=critic_iterations)
+        (anchored / "config.yaml").write_text(yaml.safe_dump(config))
+        lines.append(start_line("ippo", root, [anchored], GREEDY) or "")
+    free, penalised, both = lines
+    assert penalised == f"{free}; it was kept near that start by start.kl_coeff=0.1"
+    assert both == f"{penalised} and start.critic_iterations=2"
 
 
 def test_a_parent_that_was_deleted_is_no_error(root: Path, tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from headway_launch.report.page import Report, html, write_report
 from headway_launch.report.reward_tables import final_reward_section
 from headway_launch.report.study_data import StudyData
 from headway_launch.report.study_report import report_of
+from headway_launch.studies.runs import configuration
 
 Keep = Callable[..., Path]
 TRACKING, MATRIX = ("experiment=toy_tracking",), ("experiment=toy_matrix",)
@@ -482,6 +483,18 @@ def test_learners_without_a_common_evaluation_step_are_named(keep_run: Keep, roo
 def test_another_reward_in_training_is_noted(keep_run: Keep, root: Path) -> None:
     keep_run((*TRACKING, "env.training_args={effort: 0.5}"), 0, 1.0)
     assert "the training columns show the training reward and cannot be compared" in text_of(rewards(root))
+
+
+def test_stages_are_drawn_on_a_task_if_all_its_cells_have_them(keep_run: Keep, root: Path) -> None:
+    stages = "stages=[{env_steps: 70000}, {env_steps: 30000}]"
+    keep_run((*TRACKING, "algo=ippo", "env_steps=100_000", stages), 0, 1.0)
+    data = StudyData(root, "study")
+    rollout = configuration(data.runs.rows[0].directory)["rollout"]
+    [[end]] = data.stage_ends.values()
+    assert 70_000 <= end < 70_000 + rollout["copies"] * rollout["steps"]
+    keep_run((*TRACKING, "algo=ia2c", "env_steps=100_000"), 0, 1.0)
+    data = StudyData(root, "study")
+    assert (len(data.tasks), data.stage_ends) == (1, {})
 
 
 def test_lower_costs_are_better(keep_run: Keep, root: Path) -> None:

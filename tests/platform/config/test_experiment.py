@@ -27,7 +27,11 @@ def test_a_stage_ends_with_the_iteration_that_reaches_its_last_step() -> None:
 @pytest.mark.parametrize(
     ("env_steps", "others", "line"),
     [
-        ((200, 300), {"env_steps": 600}, "env_steps of 600 is not the sum of the stages', 500; leave it out"),
+        (
+            (200, 300),
+            {"env_steps": 600},
+            "env_steps of 600 is not the sum of the stages', 500; set env_steps=500, or",
+        ),
         ((200, 30, 20), {}, r"stages must each last an iteration or longer, of 100 steps .rollout.copies x"),
         ((0, 300), {}, r"stages\[0\].env_steps must be at least 1, not 0"),
         (

@@ -99,6 +99,13 @@ def test_the_penalty_falls_linearly_to_0_and_the_critic_learns_first() -> None:
     assert critic_only == tuple(each[1] for each in expected)
 
 
+def test_a_rule_leaves_an_iteration_to_learn_in() -> None:
+    with collector_of(_plan("visitors", rule_iterations=2), "serial") as collector:
+        with pytest.raises(ValueError, match="acts in 2 of 2 iterations"):
+            SynchronousMode(_Spy(), collector, 2, StartConfig(), 2)  # type: ignore[arg-type]
+        SynchronousMode(_Spy(), collector, 2, StartConfig(), 3)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("stop", [2, 3, 4, 5])
 def test_a_run_that_stays_near_its_start_is_resumed_exactly(stop: int, tmp_path: Path) -> None:
     jobs = []
@@ -156,5 +163,6 @@ def test_an_entry_that_promises_too_much_is_named(tmp_path: Path) -> None:
         trained(job)
     start = StartConfig(rule="optimal", env_steps=3 * COPIES * STEPS, critic_iterations=1)
     job = with_algorithm(job, ENTRIES["madqn"], configure("madqn"))
-    with pytest.raises(HeadwayError, match=r"is not a headway.contracts.AnchoredLearner; add its method"):
+    line = "allows start.critic_iterations, but .*AnchoredLearner; .* or leave out start.critic_iterations$"
+    with pytest.raises(HeadwayError, match=line):
         trained(replace(job, config=replace(job.config, start=start)))

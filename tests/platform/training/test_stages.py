@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from rehearsal import TOYS, FaultConfig, FaultyVisitors, collector_of, parameters_of, plan_of_toy
 from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
 
-from headway.config.experiment import StageConfig
+from headway.config.experiment import BackendConfig, StageConfig
 from headway.contracts import Learner, Observations, child_seeds
 from headway.events import CheckpointSaved, EvaluationFinished, IterationFinished
+from headway.rollout.backends import open_collector
+from headway.rollout.collector import Collector
+from headway.rollout.plan import RolloutPlan
 from headway.training.loop import TrainingJob
 from headway_envs.toy.visitors import VisitorsConfig
 
@@ -27,7 +30,7 @@ def _in_stages(job: TrainingJob, *lengths: int, later: Any = SHORT) -> TrainingJ
     stages = tuple(StageConfig(length * COPIES * STEPS) for length in lengths)
     plans = [replace(job.plan, training_prepared=later, stage=stage) for stage in range(1, len(lengths))]
     config = replace(job.config, stages=stages, env_steps=sum(lengths) * COPIES * STEPS)
-    return replace(job, config=config, later=tuple(plans))
+    return replace(job, config=config, later_plans=tuple(plans))
 
 
 @pytest.fixture(scope="module")
@@ -81,11 +84,13 @@ def test_until_the_first_stage_ends_the_curve_is_that_of_a_run_without_stages(
     trained(job)
     plain = {row["iteration"]: row for row in logs_of(job)[0]["curve"]}
     staged = {row["iteration"]: row for row in whole["curve"]}
-    assert [i for i in "0124" if staged[i].keys() != plain[i].keys()] == []
-    for iteration in "012":
-        assert staged[iteration] == plain[iteration]
-    common = staged["3"].keys() & plain["3"].keys()
-    assert {key: staged["3"][key] for key in common} == {key: plain["3"][key] for key in common}
+    assert staged["0"] == plain["0"]
+    assert staged["1"] == plain["1"]
+    assert staged["2"] == plain["2"]
+    # Where the stage ends there is an evaluation too.
+    assert {**staged["3"], **plain["3"]} == staged["3"]
+    assert any(key.startswith("evaluation_") for key in staged["3"].keys() - plain["3"].keys())
+    assert staged["4"].keys() == plain["4"].keys()
     assert staged["4"]["policy/entropy"] != plain["4"]["policy/entropy"]
 
 
@@ -113,14 +118,29 @@ def test_a_run_that_is_resumed_in_any_stage_ends_with_the_same_curve(
     assert logs_of(job) == [whole]
 
 
+@pytest.mark.parametrize(("stop", "expected"), [(1, [0, 1, 2]), (3, [1, 2]), (4, [1, 2]), (5, [2])])
+def test_a_resumed_run_starts_no_workers_of_earlier_stages(
+    stop: int, expected: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[int] = []
+
+    def noted(backend: BackendConfig, plan: RolloutPlan, *others: Any) -> Collector:  # noqa: ANN401
+        opened.append(plan.stage)
+        return open_collector(backend, plan, *others)
+
+    job = _in_stages(job_of(tmp_path, checkpoint_every=4), 3, 2, 1)
+    trained(job, stop_after=stop)
+    monkeypatch.setattr("headway.training.loop.open_collector", noted)
+    trained(replace(job, resume=True))
+    assert opened == expected
+
+
 @pytest.mark.parametrize("backend", ["serial", "process"])
 def test_workers_and_other_seeds_change_nothing(backend: Backend, whole: Log, tmp_path: Path) -> None:
     job = _in_stages(job_of(tmp_path, seeds=(4, 5), backend=backend, checkpoint_every=4), 3, 2, 1)
-    events = trained(job, stop_after=3)
-    spent = [event.usage.cpu_seconds for event in events if isinstance(event, IterationFinished)]
-    events = trained(replace(job, resume=True))
-    spent = [event.usage.cpu_seconds for event in events if isinstance(event, IterationFinished)]
-    assert spent == sorted(spent), "time of workers that have ended still counts"
+    for events in (trained(job, stop_after=3), trained(replace(job, resume=True))):
+        spent = [event.usage.cpu_seconds for event in events if isinstance(event, IterationFinished)]
+        assert spent == sorted(spent), "time of workers that have ended still counts"
     assert logs_of(job)[1] == whole
 
 

@@ -121,7 +121,7 @@ def read_file(folder: Path, name: str) -> pd.DataFrame:
 
 
 def refuse(
-    name: str, frame: pd.DataFrame, column: str, bad: "pd.Series[bool] | NDArray[Any]", what: str
+    name: str, frame: pd.DataFrame, column: str, bad: "pd.Series[bool] | NDArray[Any]", problem: str
 ) -> None:
     """Raise HeadwayError naming file, row, column and value of the first row where `bad`, if any."""
     places = np.flatnonzero(bad)
@@ -132,12 +132,12 @@ def refuse(
     if FILES[name][column].kind == "time" and not blank and not isinstance(value, str):
         value = f"{int(value) // 3600:02d}:{int(value) % 3600 // 60:02d}:{int(value) % 60:02d}"
     shown = "" if blank else f"'{value}' "
-    raise HeadwayError(f"{name}.csv, row {frame.index[places[0]]}, column {column}: {shown}{what}")
+    raise HeadwayError(f"{name}.csv, row {frame.index[places[0]]}, column {column}: {shown}{problem}")
 
 
-def refuse_repeated(name: str, frame: pd.DataFrame, keys: list[str], column: str, what: str) -> None:
+def refuse_repeated(name: str, frame: pd.DataFrame, keys: list[str], column: str, problem: str) -> None:
     """Raise HeadwayError at the first row whose `keys` repeat those of an earlier row."""
-    refuse(name, frame, column, frame.duplicated(keys), what)
+    refuse(name, frame, column, frame.duplicated(keys), problem)
 
 
 def _texts(path: Path) -> tuple[pd.DataFrame, str]:

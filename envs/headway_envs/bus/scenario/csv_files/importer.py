@@ -169,8 +169,8 @@ def _mean_times(
     keys = ["day_type", "from_stop", "to_stop", "hour"]
     refuse_repeated("link_times", rows, keys, "hour", "repeats an earlier row; give one mean per hour")
     fast = links["leg_m"].to_numpy()[link] / rows["mean_s"] > MAX_SPEED_MPS
-    what = "is faster than 90 km/h; give seconds, and check the coordinates of both stops"
-    refuse("link_times", rows, "mean_s", fast, what)
+    problem = "is faster than 90 km/h; give seconds, and check the coordinates of both stops"
+    refuse("link_times", rows, "mean_s", fast, problem)
     spread = np.sqrt(np.log1p((rows["sd_s"] / rows["mean_s"]) ** 2))  # of a lognormal time
     table = pd.DataFrame(
         {
@@ -187,8 +187,8 @@ def _mean_times(
         timed = np.isin(leads, table.loc[usable, "link"]) | (lines["seq0"] == 0)
         untimed = lines["pattern"].isin(own["pattern"]) & ~timed
         hours = f"for an hour from {KNOT_HOURS[0]} to {KNOT_HOURS[-1]}"
-        what = f"has no time on a {day} from the stop before {hours}; add it to link_times.csv"
-        refuse("lines", lines, "stop", untimed, what)
+        problem = f"has no time on a {day} from the stop before {hours}; add it to link_times.csv"
+        refuse("lines", lines, "stop", untimed, problem)
     return table
 
 
