@@ -139,7 +139,8 @@ class BusRenderer:
         self._heights = self._diagram_heights()
         self._background = self._draw_background()
         self._canvas, self._last_time = self._background.copy(), -math.inf
-        self._last_points: dict[int, tuple[int, Point]] = {}
+        self._last_points: dict[int, tuple[int, int, Point]] = {}
+        """Pattern, call and place in its panel of each bus in the previous picture, by slot."""
 
     def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
         """Return a picture (height, width, 3), uint8, of the first copy.
@@ -334,9 +335,10 @@ class BusRenderer:
                 up += buses.share[n] * (self._heights[call + 1] - up)
             panel = self._directions.index(self._places.directions[pattern])
             point = self._in_panel(panel, now, float(up))
-            reached[slot] = (pattern, point)
-            if slot in self._last_points and self._last_points[slot][0] == pattern:
-                draw.line([self._last_points[slot][1], point], _colour(float(buses.occupancy[n])), FINER)
+            reached[slot] = (pattern, int(call), point)
+            before, since, start = self._last_points.get(slot, (-1, 0, point))
+            if before == pattern and since <= call:
+                draw.line([start, point], _colour(float(buses.occupancy[n])), FINER)
         self._last_points = reached
 
     def _write(self, picture: Image.Image, title: str, caption: str) -> None:

@@ -13,7 +13,7 @@ from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import AWAY, MOVE, SERVICE_CENTER
 from headway_envs.bus.prepare import prepare
 from headway_envs.bus.prepared import Prepared
-from headway_envs.bus.renderer import OUT_OF_SERVICE, QUEUE, BusRenderer, geography
+from headway_envs.bus.renderer import OUT_OF_SERVICE, QUEUE, BusRenderer, _VisibleBuses, geography
 from headway_envs.bus.scenario.measures import distance_m
 from headway_envs.bus.scenario.source import scenario_tables
 
@@ -75,6 +75,26 @@ def test_each_direction_has_a_panel_in_which_buses_only_go_up(line: Prepared) ->
         longest = renderer._longest[renderer._directions.index(renderer._places.directions[pattern])]
         if longest.start == first:
             assert up[-1] == 1.0
+
+
+def test_a_bus_that_begins_the_same_direction_again_leaves_no_stroke_back(line: Prepared) -> None:
+    renderer, first, last = BusRenderer(line), *line.network.pattern_calls[:2].tolist()
+    pictures = []
+    for hour, call in ((7.0, first), (7.2, last - 1), (7.3, first), (7.4, first + 1)):
+        renderer._extend_diagram(
+            _VisibleBuses(
+                slots=np.array([0]),
+                calls=np.array([call]),
+                share=np.zeros(1),
+                occupancy=np.zeros(1),
+                loads=np.zeros(1, np.int64),
+                out_of_service=np.zeros(1, np.bool_),
+            ),
+            hour * 3600,
+        )
+        pictures.append(np.asarray(renderer._canvas).copy())
+    drawn = [bool((one != other).any()) for one, other in pairwise(pictures)]
+    assert drawn == [True, False, True]
 
 
 def test_a_pattern_that_starts_midway_is_drawn_from_there(line: Prepared) -> None:
