@@ -129,7 +129,10 @@ def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
     hours = "env.args.start_hour=7 env.args.end_hour=9"
     assert f"env.args.scenario={out} {hours} " in shown.splitlines()[-1]
     assert hours in page
-    assert prepare(BusConfig(scenario=str(out))).network.pattern_calls.tolist() == [0, 3, 6]
+    prepared = prepare(BusConfig(scenario=str(out)))
+    assert prepared.network.pattern_calls.tolist() == [0, 3, 6]
+    assert "no trip leaves after 8.0 h" in prepared.notices[0]
+    assert prepare(BusConfig(scenario=str(out), start_hour=7, end_hour=9)).notices == ()
 
 
 @pytest.mark.parametrize(
