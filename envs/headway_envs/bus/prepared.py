@@ -38,6 +38,17 @@ class Prepared:
         return tuple(self.lines[i] for i in self.network.slot_line)
 
     @property
+    def notices(self) -> tuple[str, ...]:
+        """Line for the user if no trip leaves in the last three hours or more of the day."""
+        last_h = self.network.trip_departure.max() / 3600.0
+        if self.config.end_hour - last_h < 3.0:
+            return ()
+        return (
+            f"no trip leaves after {last_h:.1f} h: passengers left behind wait until the day ends, at "
+            f"{self.config.end_hour} h; set env.args.end_hour",
+        )
+
+    @property
     def full_state(self) -> bool:
         """Whether the state includes all agents' observations.
 

@@ -14,7 +14,7 @@ from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import MOVE
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.csv_files.calls import has_counts, read_calls
-from headway_envs.bus.scenario.csv_files.files import is_there
+from headway_envs.bus.scenario.csv_files.files import SOURCE_PREFIX, is_there
 from headway_envs.bus.scenario.csv_files.lines import read_lines
 from headway_envs.bus.scenario.network import pattern_rows
 from headway_envs.bus.scenario.sunt.records import find_days, read_day
@@ -80,6 +80,10 @@ def recorded_day(raw: Path, tables: Tables, day_type: str) -> RecordedDay:
     HeadwayError if they state no valid date, or if there is no record of that date or no trip of these lines
     in it.
     """
+    if not is_there(raw, "calls") and str(tables.meta.get("source")).startswith(SOURCE_PREFIX):
+        raise HeadwayError(
+            f"--records: there is no calls.csv in {raw}; give the folder that the scenario was made from"
+        )
     files = {} if is_there(raw, "calls") else find_days(raw)
     stated = _timetable_date(tables, day_type)
     if not files:

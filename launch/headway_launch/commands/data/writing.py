@@ -12,6 +12,7 @@ from headway_launch.console.output_files import write_error
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
+    from headway_envs.bus.scenario.description import DayStatistics
     from headway_envs.bus.scenario.tables import Tables
 
 _SETTINGS = (
@@ -114,4 +115,24 @@ def _print_written(tables: "Tables", out: Path) -> None:
             print(f"{name}: {count:,}")
     buses = max(day.peak_buses for day in days)
     settings = next(settings for most, settings in _SETTINGS if buses <= most)
-    print(f"next: headway data describe {out}; headway run env=bus env.args.scenario={out} {settings}")
+    hours = _service_hours(days[0])
+    print(f"next: headway data describe {out}; headway run env=bus env.args.scenario={out} {hours}{settings}")
+
+
+def _service_hours(day: "DayStatistics") -> str:
+    """Return the settings of the simulated hours, and print why, if the service is shorter than by default.
+
+    Passengers who remain after the last bus are charged until the end of the simulated day.
+    """
+    from headway_envs.bus.config import BusConfig
+
+    config = BusConfig()
+    if math.floor(day.first_h) <= config.start_hour and math.ceil(day.last_h) >= config.end_hour:
+        return ""
+    start = min(max(math.floor(day.first_h), 4), 25)
+    end = max(min(math.ceil(day.last_h), 26), start + 1)
+    print(
+        f"service: {day.first_h:.1f} to {day.last_h:.1f} h, whereas {config.start_hour} to {config.end_hour} "
+        "h are simulated by default: keep start_hour and end_hour below in every command"
+    )
+    return f"env.args.start_hour={start} env.args.end_hour={end} "

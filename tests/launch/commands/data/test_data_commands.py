@@ -123,8 +123,16 @@ def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
     assert not out.exists()
     times.write_text(intact, encoding="utf-8")
     assert run(["data", "csv", str(folder), str(out)]) == 0
-    assert "1 line, 2 patterns, 3 stops, 4 links\nweekday: 8 trips" in capsys.readouterr().out
-    assert prepare(BusConfig(scenario=str(out))).network.pattern_calls.tolist() == [0, 3, 6]
+    shown = capsys.readouterr().out
+    assert "1 line, 2 patterns, 3 stops, 4 links\nweekday: 8 trips" in shown
+    assert "service: 7.0 to 8.1 h, whereas 5 to 24 h are simulated by default" in shown
+    hours = "env.args.start_hour=7 env.args.end_hour=9"
+    assert f"env.args.scenario={out} {hours} " in shown.splitlines()[-1]
+    assert hours in page
+    prepared = prepare(BusConfig(scenario=str(out)))
+    assert prepared.network.pattern_calls.tolist() == [0, 3, 6]
+    assert "no trip leaves after 8.0 h" in prepared.notices[0]
+    assert prepare(BusConfig(scenario=str(out), start_hour=7, end_hour=9)).notices == ()
 
 
 @pytest.mark.parametrize(

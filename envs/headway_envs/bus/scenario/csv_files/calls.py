@@ -50,6 +50,8 @@ def read_calls(
     backwards = calls["time"] < calls.groupby("run")["time"].shift()
     refuse("calls", calls, "arrival", backwards, f"is before the call before; {_MIDNIGHT}")
     saturday = calls["daytype"] == "saturday"
+    if saturday.all():
+        raise HeadwayError("calls.csv has Saturdays only, which are left out: add weekdays or Sundays")
     counted["calls on Saturdays, left out"] += int(saturday.sum())
     single = calls.groupby("run")["run"].transform("size") < 2
     counted["trips of one call, left out"] += int(single.sum())

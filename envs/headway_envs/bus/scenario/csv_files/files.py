@@ -72,6 +72,8 @@ FILES: Mapping[str, Mapping[str, Column]] = {
     },
 }
 """Columns of each file NAME.csv; docs/howto/scenario.md describes them."""
+SOURCE_PREFIX = "CSV files of"
+"""Beginning of `source` in the metadata of a scenario made from such files."""
 _TIME = r"(\d{1,2}):([0-5]\d)(?::([0-5]\d))?"
 _LATEST_S = 48 * 3600.0
 _WANTED = {
@@ -143,9 +145,11 @@ def refuse_repeated(name: str, frame: pd.DataFrame, keys: list[str], column: str
 def _texts(path: Path) -> tuple[pd.DataFrame, str]:
     """Return the cells of a file as text, stripped, and its separator, a comma or semicolon."""
     if not path.is_file():
-        near = difflib.get_close_matches(path.name, [file.name for file in path.parent.glob("*.csv")], 1)
+        others = [file.name for file in path.parent.glob("*.csv") if file.stem not in FILES]
+        near = difflib.get_close_matches(path.name, others, 1)
         hint = f" (rename {near[0]}?)" if near else ""
-        raise HeadwayError(f"FOLDER: {path} is missing: write it{hint}")
+        instead = ", or calls.csv with recorded calls" if path.stem == "trips" else ""
+        raise HeadwayError(f"FOLDER: {path} is missing: write it{hint}{instead}")
     try:
         content = path.read_bytes()
     except OSError as error:

@@ -16,7 +16,13 @@ from headway_envs.bus.scenario.csv_files.calls import (
     read_calls,
     trips_of_calls,
 )
-from headway_envs.bus.scenario.csv_files.files import is_there, read_file, refuse, refuse_repeated
+from headway_envs.bus.scenario.csv_files.files import (
+    SOURCE_PREFIX,
+    is_there,
+    read_file,
+    refuse,
+    refuse_repeated,
+)
 from headway_envs.bus.scenario.csv_files.lines import place_calls, read_lines
 from headway_envs.bus.scenario.fitted import ALIGHTING_TENTHS, SOURCE, WITHIN_HOUR_SD
 from headway_envs.bus.scenario.link_times import smoothed_link_times
@@ -42,7 +48,10 @@ def import_csv(folder: Path) -> Tables:
     lines = read_lines(folder)
     network = _network(folder, lines, counted)
     made_from: dict[str, str] = {}
-    meta: dict[str, object] = {"source": f"CSV files of {folder.resolve().name}", "licence": "the operator's"}
+    meta: dict[str, object] = {
+        "source": f"{SOURCE_PREFIX} {folder.resolve().name}",
+        "licence": "the operator's",
+    }
     if is_there(folder, "calls"):
         if spare := [name for name in ("trips", "link_times") if is_there(folder, name)]:
             raise HeadwayError(
@@ -51,6 +60,7 @@ def import_csv(folder: Path) -> Tables:
         calls, dates = read_calls(folder, lines, counted)
         times = _smoothed_times(calls, network, counted)
         trips = trips_of_calls(calls, dates, _link_of_calls(network), times, counted)
+        counted["trips that leave before their vehicle arrives from another"] += int(_overlaps(trips).sum())
         meta["dates"] = dates
         made_from["link_times"] = f"calls.csv, {calls['date'].nunique()} days"
     else:
@@ -100,6 +110,9 @@ def _network(folder: Path, lines: pd.DataFrame, counted: Counter[str]) -> dict[s
     counted["links of several distances, given their mean"] += int((stated.max() > stated.min()).sum())
     calls["leg_m"] = stated.transform("mean").fillna(pd.Series(straight, lines.index)).clip(lower=1.0).round()
     refuse("lines", lines, "stop", inner & (calls["stop"] == calls["before"]), "follows itself; drop the row")
+    short = inner & (lines["distance_m"] < 0.8 * straight - 50.0)  # coordinates are inexact
+    problem = "is shorter than the straight line between the stops; give metres, or correct the coordinates"
+    refuse("lines", lines, "distance_m", short, problem)
     links = calls[inner].drop_duplicates(["before", "stop"]).reset_index(drop=True)
     ends = pd.MultiIndex.from_frame(links[["before", "stop"]])
     link = ends.get_indexer(pd.MultiIndex.from_frame(calls[["before", "stop"]]))
@@ -131,7 +144,17 @@ def _planned_trips(folder: Path, lines: pd.DataFrame) -> pd.DataFrame:
     late = trips["arrival"] < trips["departure"]
     refuse("trips", trips, "arrival", late, "is before the departure; write times after midnight as 24:10")
     names = {"day_type": "daytype", "departure": "dep_s", "arrival": "arr_s"}
-    return trips.rename(columns=names)[["pattern", "vehicle", "dep_s", "arr_s", "daytype"]]
+    trips = trips.rename(columns=names)[["pattern", "vehicle", "dep_s", "arr_s", "daytype"]]
+    refuse("trips", trips, "vehicle", _overlaps(trips), "is still on an earlier trip; name another vehicle")
+    return trips
+
+
+def _overlaps(trips: pd.DataFrame) -> "pd.Series[bool]":
+    """Return whether each trip leaves before an earlier one of the same vehicle has arrived."""
+    keys = ["daytype", "vehicle"]
+    ordered = trips.sort_values(["dep_s", "arr_s"])
+    arrived = ordered.assign(latest=ordered.groupby(keys)["arr_s"].cummax()).groupby(keys)["latest"].shift()
+    return (ordered["dep_s"] < arrived).reindex(trips.index)
 
 
 def _with_vehicles(trips: pd.DataFrame, network: dict[str, pd.DataFrame]) -> pd.DataFrame:

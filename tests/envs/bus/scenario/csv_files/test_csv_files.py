@@ -109,6 +109,8 @@ def test_origin_destination_counts_give_both_ends(example: Path) -> None:
         ("lines", "out,Market", "out,Markt", "lines.csv, row 3, column stop: 'Markt' is not in stops.csv"),
         ("lines", "out,Market", "out,Station", "lines.csv, row 3, column stop: 'Station' follows its"),
         ("lines", "out,Station", "oot,Station", "row 2, column stop: 'Station' is the only stop of its dir"),
+        ("lines", "Market,640", "Market,0.64", "lines.csv, row 3, column distance_m: '0.64' is shorter than"),
+        ("trips", "07:06", "07:16", "trips.csv, row 3, column vehicle: 'A' is still on an earlier trip"),
         ("trips", "07:06", "7.06", "trips.csv, row 2, column arrival: '7.06' is not a time HH:MM or"),
         ("trips", "07:06", "00:06", "trips.csv, row 2, column arrival: '00:06:00' is before the departure"),
         ("trips", "07:06", "81:00", "trips.csv, row 2, column arrival: '81:00:00' is after 48:00; correct"),
@@ -166,7 +168,7 @@ def test_a_link_of_two_distances_has_their_mean(example: Path) -> None:
 
 
 def test_a_loop_needs_positions(example: Path) -> None:
-    _edit(example, "lines", "1,out,Hospital,720\n", "1,out,Hospital,720\n1,out,Station,900\n")
+    _edit(example, "lines", "1,out,Hospital,720\n", "1,out,Hospital,720\n1,out,Station,1300\n")
     (example / "demand.csv").write_text(
         "line,direction,stop,hour,boardings\n1,out,Station,7,9\n1,back,Hospital,7,9\n", encoding="utf-8"
     )
@@ -308,6 +310,41 @@ def test_faults_of_recorded_calls(tmp_path: Path, old: str, new: str, said: str)
     with pytest.raises(HeadwayError) as error:
         import_csv(tmp_path)
     assert said in str(error.value), error.value
+
+
+def test_saturdays_alone_are_refused(tmp_path: Path) -> None:
+    _write(tmp_path, "stops", "lines")
+    text = _examples()["calls"].replace("2024-05-15", "2024-05-18")
+    (tmp_path / "calls.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(HeadwayError, match=r"calls.csv has Saturdays only, which are left out: add"):
+        import_csv(tmp_path)
+
+
+def test_recorded_trips_of_a_vehicle_that_overlap_are_counted(tmp_path: Path) -> None:
+    _write(tmp_path, "stops", "lines", "calls")
+    file = tmp_path / "calls.csv"
+    heading, *rows = file.read_text(encoding="utf-8").splitlines()
+    second = [row.replace("101,A", "102,A").replace("07:0", "07:1") for row in rows]
+    counted = "trips that leave before their vehicle arrives from another"
+    for later, overlaps in ((second, 0), ([row.replace("07:1", "07:0") for row in second], 1)):
+        file.write_text("\n".join([heading, *rows, *later]), encoding="utf-8")
+        assert import_csv(tmp_path).meta["counted"].get(counted, 0) == overlaps
+
+
+def test_a_missing_file_is_named_with_what_may_replace_it(example: Path) -> None:
+    (example / "trips.csv").rename(example / "planned_departures.csv")
+    with pytest.raises(HeadwayError, match=r"trips.csv is missing: write it, or calls.csv with recorded"):
+        import_csv(example)
+    (example / "planned_departures.csv").rename(example / "trip.csv")
+    with pytest.raises(HeadwayError, match=r"trips.csv is missing: write it \(rename trip.csv\?\), or"):
+        import_csv(example)
+
+
+def test_records_without_calls_are_refused(tmp_path: Path) -> None:
+    tables = import_csv(_write(tmp_path, "stops", "lines", "calls"))
+    (tmp_path / "calls.csv").unlink()
+    with pytest.raises(HeadwayError, match=r"--records: there is no calls.csv in .*; give the folder that"):
+        recorded_day(tmp_path, tables, "weekday")
 
 
 def test_plans_beside_records_are_refused(tmp_path: Path) -> None:
