@@ -4,6 +4,7 @@ import argparse
 import socket
 import time
 from contextlib import closing
+from errno import EADDRINUSE
 from importlib.metadata import PackageNotFoundError, version
 from threading import Thread
 
@@ -91,5 +92,8 @@ def _listen(port: int) -> socket.socket:
         listener.listen(128)
     except OSError as error:
         listener.close()
-        raise HeadwayError(f"port {port} cannot be used ({error}); give another with --port") from error
+        cause = "; another headway browse may be running" if error.errno == EADDRINUSE else ""
+        raise HeadwayError(
+            f"port {port} cannot be used ({error}{cause}); give another with --port"
+        ) from error
     return listener

@@ -219,8 +219,11 @@ def _run(arguments: argparse.Namespace) -> "StoredRun":
             raise HeadwayError(
                 f"{arguments.name} is an environment; add --rule RULE, or name a run"
             ) from error
-        is_part = any(arguments.name in folder.name for folder in run_folders(Path(arguments.store)))
-        if not is_part and (near := nearest(arguments.name, known)):
+        is_known = any(
+            arguments.name in folder.name or arguments.name == folder.parent.name
+            for folder in run_folders(Path(arguments.store))
+        )
+        if not is_known and (near := nearest(arguments.name, known)):
             raise HeadwayError(
                 f"unknown run or environment {arguments.name!r}; did you mean {near}, with --rule RULE? "
                 "`headway runs` shows the runs"

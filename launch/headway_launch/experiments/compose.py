@@ -11,7 +11,7 @@ from typing import Any
 
 from headway.adapters.env_file import absolute_id
 from headway.algorithms import chosen_algo
-from headway.config.experiment import NO_PRESET, ExperimentConfig
+from headway.config.experiment import NO_PRESET, EnvConfig, ExperimentConfig
 from headway.config.schema import (
     build,
     describe,
@@ -24,6 +24,7 @@ from headway.config.schema import (
 from headway.contracts.entries import AlgoEntry, EnvEntry, RuleEntry
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError, UnknownKeyError
+from headway.contracts.random_rule import RANDOM
 from headway.environments import chosen_env, notices_of
 from headway.registry import is_external, rule_entry, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
@@ -210,9 +211,10 @@ def _require_alike(
         if name not in ("observation_features", "metrics")
     ]
     what = f" ({', '.join(shown)} in {whose})" if shown else ""
+    room = ", or set there one that makes room for all, such as max_density of merge" if shown else ""
     raise HeadwayError(
         f"{key} may change rewards and dynamics, not observations, actions or metrics{what}; set such "
-        f"arguments in {'env.args' if whose == 'evaluation' else 'env.training_args'}"
+        f"arguments in {f'env.args{room}' if whose == 'evaluation' else 'env.training_args'}"
     )
 
 
@@ -294,7 +296,11 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     algo, algo_config = chosen_algo(build(ExperimentConfig, {"algo": values.get("algo", {})}).algo)
     if isinstance(rollout := values.get("rollout", {}), Mapping):
         values["rollout"] = {**algo.rollout(algo_config), **rollout}
-    config = build(ExperimentConfig, _with_budget(values))
+    try:
+        config = build(ExperimentConfig, _with_budget(values))
+    except HeadwayError:
+        _require_known_rule(values)  # the budget of a rule that does not exist is beside the point
+        raise
     config = replace(config, env=replace(config.env, id=absolute_id(config.env.id)))
     if not _DEVICE.fullmatch(config.device):
         raise HeadwayError(f"device={config.device} is not a device; write auto, cpu, cuda or cuda:NUMBER")
@@ -302,10 +308,8 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
         raise HeadwayError(f"device={config.device}, but this machine has no NVIDIA GPU; use auto or cpu")
     with prints_to_stderr():  # an environment's module may print
         env = chosen_env(config.env)
-    training_args = _merged(config.env.args, config.env.training_args or {})
     by_stage = {
-        f"stages[{place}].training_args": _merged(training_args, stage.training_args)
-        for place, stage in enumerate(config.stages)
+        f"stages[{place}].training_args": stage.training_args for place, stage in enumerate(config.stages)
     }
     return Experiment(
         config=config,
@@ -313,13 +317,50 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
         training_env=env.training_entry,
         env_config=build(env.entry.config, config.env.args, "env.args", config.env.id),
         training_env_configs=tuple(
-            build(env.training_entry.config, args, key, config.env.id)
-            for key, args in (by_stage or {"env.training_args": training_args}).items()
+            _training_config(env.training_entry.config, config.env, key, args)
+            for key, args in (by_stage or {"env.training_args": config.env.training_args or {}}).items()
         ),
         env_mapping=env.mapping,
         algo=algo,
         algo_config=algo_config,
     )
+
+
+def _training_config(record: type, env: EnvConfig, key: str, args: Mapping[str, Any]) -> Any:  # noqa: ANN401
+    """Return the config of a training environment; `args` are the arguments of `key`, over those of `env`.
+
+    Raises HeadwayError, which names an argument by the key under which it was written.
+    """
+    layers = {key: args, "env.training_args": env.training_args or {}, "env.args": env.args}
+    try:
+        return build(record, _merged(_merged(env.args, layers["env.training_args"]), args), key, env.id)
+    except HeadwayError as error:
+        line = str(error).removeprefix(f"{key}.")
+        name = re.split(r"[^\w.]", line, maxsplit=1)[0]
+        written = next((layer for layer, values in layers.items() if _has_key(values, name)), key)
+        if written == key:
+            raise
+        raise HeadwayError(f"{key}: {written}.{line}") from error
+
+
+def _require_known_rule(values: Mapping[str, Any]) -> None:
+    """Raise HeadwayError if a configuration's `start.rule` is not a rule to start from."""
+    start = values.get("start")
+    if isinstance(start, Mapping) and isinstance(rule := start.get("rule"), str):
+        env = build(ExperimentConfig, {"env": values.get("env", {})}).env
+        require_rule(rule, env.id, chosen_env(env).training_entry)
+
+
+def require_rule(name: str, env_id: str, entry: EnvEntry) -> None:
+    """Raise HeadwayError if training cannot start from the rule `name` of an environment."""
+    # The draws of `random` are no part of an environment's snapshots, so that a resumed run would differ.
+    rules = [rule for rule, each in entry.rules.items() if each is not RANDOM]
+    if not rules:
+        raise HeadwayError(f"start.rule: {env_id} has no rule to start from; leave it out")
+    if name not in rules:
+        raise HeadwayError(
+            f"start.rule: {name!r} is not a rule of {env_id} to start from; {suggestion(name, rules)}"
+        )
 
 
 def _with_budget(values: Mapping[str, Any]) -> Mapping[str, Any]:

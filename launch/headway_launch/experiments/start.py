@@ -4,16 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from headway.config.schema import plain, suggestion
+from headway.config.schema import plain
 from headway.contracts.acting_policy import ActingPolicy
 from headway.contracts.entries import Rule
 from headway.contracts.errors import HeadwayError
-from headway.contracts.random_rule import RANDOM
 from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import CHECKPOINTS, RunRecord, find_run
 from headway.store.run_plan import RunPlan
 from headway.training.loop import ParentRun
-from headway_launch.experiments.compose import Experiment, PreparedEnv
+from headway_launch.experiments.compose import Experiment, PreparedEnv, require_rule
 from headway_launch.experiments.parameters import flat
 
 _MEANINGS = ("model.activation", "normalise_observations")
@@ -28,17 +27,10 @@ def start_rule(experiment: Experiment, environment: PreparedEnv) -> Rule | None:
     name, env_id = experiment.config.start.rule, experiment.config.env.id
     if name is None:
         return None
-    # The draws of `random` are no part of an environment's snapshots, so that a resumed run would differ.
-    rules = {rule: entry for rule, entry in experiment.training_env.rules.items() if entry is not RANDOM}
-    if not rules:
-        raise HeadwayError(f"start.rule: {env_id} has no rule to start from; leave it out")
-    if name not in rules:
-        raise HeadwayError(
-            f"start.rule: {name!r} is not a rule of {env_id} to start from; {suggestion(name, rules)}"
-        )
+    require_rule(name, env_id, experiment.training_env)
     _require_start(experiment, "start.rule")
     try:
-        return rules[name].make(environment.training)
+        return experiment.training_env.rules[name].make(environment.training)
     except HeadwayError as error:  # wrappers hide its inputs
         raise HeadwayError(f"start.rule: {error}") from error
 

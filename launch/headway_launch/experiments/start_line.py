@@ -1,10 +1,12 @@
 """What the runs of a cell started from, and their stages, in words; with what the start cost and reached."""
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from headway.config.experiment import last_iterations
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import read_json
 from headway.store.parquet_log import read_rows
@@ -30,13 +32,16 @@ def start_line(name: str, root: Path, directories: Sequence[Path], metric: str) 
     if anchors:
         parts.append(f"was kept near that start by {' and '.join(anchors)}")
     if stages := config.get("stages"):
-        parts.append(f"was trained in stages: {', then '.join(map(_stage, stages))}")
+        iteration_steps = config["rollout"]["copies"] * config["rollout"]["steps"]
+        ends = last_iterations([stage["env_steps"] for stage in stages], iteration_steps)
+        steps = [(end - begin) * iteration_steps for begin, end in pairwise((0, *ends))]
+        parts.append(f"was trained in stages: {', then '.join(map(_stage, stages, steps))}")
     return f"{name} {'; it '.join(parts)}" if parts else None
 
 
-def _stage(stage: Mapping[str, Any]) -> str:
+def _stage(stage: Mapping[str, Any], steps: int) -> str:
     settings = [f"{key}={value}" for key, value in flat(stage["training_args"])]
-    return f"{stage['env_steps']:,} steps{' with ' if settings else ''}{' and '.join(settings)}"
+    return f"{steps:,} steps{' with ' if settings else ''}{' and '.join(settings)}"
 
 
 def _from_rule(config: Mapping[str, Any], root: Path, directories: Sequence[Path], metric: str) -> str:

@@ -369,6 +369,14 @@ class ExperimentConfig:
             f"of {self.start.env_steps} is more than the first stage has, in whose environment the rule "
             "acts; lower it, or raise stages[0].env_steps",
         )
+        critic, largest = self.start.critic_iterations, self.iterations - self.rule_iterations - 1
+        require_key(
+            critic <= largest,
+            "start.critic_iterations",
+            f"of {critic} leaves no iteration in which policies learn: after the start there are "
+            f"{largest + 1}, of {self.rollout.copies * self.rollout.steps} steps (rollout.copies x "
+            f"rollout.steps); set at most {largest}, or raise env_steps",
+        )
 
     @property
     def iterations(self) -> int:

@@ -9,7 +9,7 @@ tracking*.json                            what MLflow has received
 import os
 import re
 import secrets
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from difflib import get_close_matches
@@ -230,7 +230,7 @@ def _is_folder(entry: "os.DirEntry[str]") -> bool:
 def find_run(root: Path, run_id: str) -> Path:
     """Return the folder of a run, given its `run_id` or any unique part of it.
 
-    Raises HeadwayError, with the nearest names, if none or several match.
+    Raises HeadwayError, with the nearest names or a study's runs, if none or several match.
     """
     folders = {folder.name: folder for folder in run_folders(root)}
     if run_id in folders:
@@ -239,11 +239,16 @@ def find_run(root: Path, run_id: str) -> Path:
     if len(matches) == 1:
         return folders[matches[0]]
     if matches:
-        shown = ", ".join(sorted(matches)[:3]) + (", ..." if len(matches) > 3 else "")
-        raise HeadwayError(f"{len(matches)} runs match {run_id!r} ({shown}): give more of the name")
+        raise HeadwayError(f"{len(matches)} runs match {run_id!r} ({_first(matches)}): give more of the name")
+    if runs := [name for name, folder in folders.items() if folder.parent.name == _slug(run_id)]:
+        raise HeadwayError(f"{run_id!r} is a study in {root}: name one of its runs ({_first(runs)})")
     nearest = get_close_matches(run_id, folders, n=1, cutoff=0.0)
     hint = f"the nearest is {nearest[0]}" if nearest else "the store holds no runs"
     raise HeadwayError(f"no run {run_id!r} in {root}: {hint}")
+
+
+def _first(names: Sequence[str]) -> str:
+    return ", ".join(sorted(names)[:3]) + (", ..." if len(names) > 3 else "")
 
 
 def _slug(name: str) -> str:

@@ -219,6 +219,7 @@ def test_errors_are_one_line(tmp_path: Path, refused: Refused) -> None:
     finally:
         listener.close()
     assert f"port {port} cannot be used" in line
+    assert "another headway browse may be running" in line
     assert not database_path(tmp_path).exists()
 
 

@@ -178,6 +178,13 @@ def test_what_cannot_be_drawn_is_one_line(
     assert list(empty_folder.iterdir()) == []
 
 
+def test_a_study_named_almost_like_an_environment_is_a_study(empty_folder: Path, refused: Refused) -> None:
+    run = empty_folder / "runs" / "buss" / "one-s0"
+    run.mkdir(parents=True)
+    (run / "run.json").write_text("{}")
+    assert "'buss' is a study in runs: name one of its runs (one-s0)" in refused("render", "buss")
+
+
 @pytest.mark.usefixtures("empty_folder")
 @pytest.mark.parametrize("output", ["no/where.gif", "taken.gif", "file/inside.png"])
 def test_where_nothing_can_be_written_nothing_is_played(

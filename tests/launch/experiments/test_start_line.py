@@ -88,7 +88,7 @@ def test_a_parent_that_was_deleted_is_no_error(root: Path, tmp_path: Path) -> No
 
 def test_stages_are_named_with_what_they_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["env=tracking", "algo=ippo", "backend=serial", *SMALL, f"store.root={tmp_path}", "seed=0"]
-    stages = "stages=[{env_steps: 64, training_args: {noise: 0.01, effort: 0.2}}, {env_steps: 128}]"
+    stages = "stages=[{env_steps: 60, training_args: {noise: 0.01, effort: 0.2}}, {env_steps: 120}]"
     assert run(["run", *[word for word in words if not word.startswith("env_steps")], stages]) == 0
     out, err = capsys.readouterr()
     line = "ippo was trained in stages: 64 steps with noise=0.01 and effort=0.2, then 128 steps"

@@ -246,6 +246,10 @@ def test_blocks_of_an_asynchronous_algorithm_shrink_to_the_limit_of_copies() -> 
     ("words", "line"),
     [
         (["env=trivial", "algo=ippo", "start.rule=optmal"], "'optmal' is not a rule of trivial .*optimal"),
+        (
+            ["env=trivial", "algo=ippo", "start.rule=optmal", "env_steps=9", "start.env_steps=9"],
+            "'optmal' is not a rule of trivial to start from; did you mean optimal",
+        ),
         (["env=trivial", "algo=ippo", "start.rule=random"], "'random' is not a rule of trivial"),
         (
             ["env=tracking", "algo=a3c", "start.rule=optimal"],
@@ -263,6 +267,10 @@ def test_rules_that_training_cannot_start_from_are_refused(words: list[str], lin
         plan_jobs(compose([*words, "evaluation.rules=[]"]))
 
 
+THOUSANDS = ["rollout.copies=8", "rollout.steps=125"]
+"""Iterations of 1,000 steps."""
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
@@ -271,15 +279,24 @@ def test_rules_that_training_cannot_start_from_are_refused(words: list[str], lin
             ["start.rule=optimal", "start.env_steps=9000"],
             "of 9000 leaves nothing of env_steps=9000",
         ),
+        (
+            ["start.rule=optimal", "start.env_steps=9", "start.critic_iterations=8", *THOUSANDS],
+            "critic_iterations of 8 leaves no iteration .* there are 8, of 1000 .* set at most 7, or raise",
+        ),
         (["start.env_steps=10"], "start.env_steps applies to a rule: set start.rule too, or leave this out"),
         (["start.kl_coeff=1"], "start.kl_coeff applies after a start: set start.rule or start.run too"),
         (["start.critic_iterations=2"], "start.critic_iterations applies after a start: set start.rule"),
         (["start.rule=optimal", "start.kl_coeff=-1"], "start.kl_coeff must be at least 0, not -1"),
     ],
 )
-def test_budgets_of_a_rule_that_leave_nothing_to_learn_are_refused(words: list[str], line: str) -> None:
+def test_budgets_of_a_start_that_leave_nothing_to_learn_are_refused(words: list[str], line: str) -> None:
     with pytest.raises(HeadwayError, match=line):
         compose(["env=trivial", "algo=ippo", "env_steps=9000", *words])
+
+
+def test_a_critic_may_learn_first_in_all_iterations_but_one() -> None:
+    words = ["start.rule=optimal", "start.env_steps=9", "start.critic_iterations=7", *THOUSANDS]
+    assert compose(["env=trivial", "algo=ippo", "env_steps=9000", *words]).config.rule_iterations == 1
 
 
 @pytest.mark.parametrize(
@@ -420,7 +437,7 @@ def test_each_stage_has_its_environment_and_their_sum_is_the_budget() -> None:
         (
             ["env.args={density: 3}", STAGES],
             r"stages\[0\]\.training_args may change .* \(3 agents here and 6, state_size 43 here and 78 in "
-            r"evaluation\); set such arguments in env\.args",
+            r"evaluation\); set such arguments in env\.args, .* such as max_density of merge",
         ),
         (
             [
@@ -432,6 +449,17 @@ def test_each_stage_has_its_environment_and_their_sum_is_the_budget() -> None:
         (
             ["env.args={density: 3, max_density: 2}"],
             "env.args.max_density must be null, or 1, 2 or 3 and at least density, not 2",
+        ),
+        (
+            [
+                "env.args={density: 2, max_density: 2}",
+                "stages=[{env_steps: 9000, training_args: {density: 3}}]",
+            ],
+            r"^stages\[0\]\.training_args: env\.args\.max_density must be null, or 1, 2 or 3 and at least",
+        ),
+        (
+            ["env.args={density: 3}", "stages=[{env_steps: 9000, training_args: {max_density: 2}}]"],
+            r"^stages\[0\]\.training_args\.max_density must be null, or 1, 2 or 3 and at least",
         ),
         (["stages=[{env_steps: 9000, training_args: {densty: 1}}]"], r"stages\[0\].*did you mean .*density"),
         (["stages=[{env_steps: 9000, args: {density: 1}}]"], r"stages\[0\]\.args"),
