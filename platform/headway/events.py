@@ -112,6 +112,8 @@ class Failed:
     line: str
     """One line: what is wrong and what to do."""
     traceback: str
+    lost: bool = False
+    """Whether workers or their cluster were lost, rather than that training went wrong."""
 
 
 Event = Started | IterationFinished | EvaluationFinished | CheckpointSaved | Notice | Finished | Failed

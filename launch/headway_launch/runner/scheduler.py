@@ -213,8 +213,12 @@ class Scheduler:
                 )
 
     def _take(self, job: SessionJob, event: Event, shown: Progress) -> None:
-        job.take(event)
         progress = job.progress
+        if isinstance(event, Failed) and event.lost and self._asked_to_stop_at is not None:
+            # Whoever stops the session, such as Slurm, may end workers and their cluster at the same time.
+            shown.note(f"{progress.name} is stopped: {event.line}")
+            event = Finished(progress.iteration, stopped=True)
+        job.take(event)
         match event:
             case Failed(line=line):
                 where = f"; see {progress.traceback}" if progress.traceback else ""

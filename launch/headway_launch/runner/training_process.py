@@ -12,7 +12,7 @@ from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING
 
-from headway.contracts.errors import HeadwayError, one_line
+from headway.contracts.errors import HeadwayError, WorkersLostError, one_line
 from headway.events import Event, Failed
 from headway.rollout.forks import end_if_forked, without_main_module
 
@@ -169,7 +169,8 @@ def train_and_report(job: "TrainingJob", report: Report, should_stop: ShouldStop
         train(job, report, should_stop)
     except BaseException as error:  # an environment may raise anything, and call sys.exit
         details = error.details if isinstance(error, HeadwayError) else ""
-        report(Failed(one_line(error), f"{details}{traceback.format_exc()}"))
+        lost = isinstance(error, WorkersLostError)
+        report(Failed(one_line(error), f"{details}{traceback.format_exc()}", lost))
 
 
 def _end_with_session() -> None:

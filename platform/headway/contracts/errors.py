@@ -16,6 +16,10 @@ class HeadwayError(Exception):
         self.details = details
 
 
+class WorkersLostError(HeadwayError):
+    """Rollout workers, or the cluster that they run on, are gone or cannot be reached."""
+
+
 class EnvironmentRaisedError(Exception):
     """An exception of an environment's own code, with the environment, the call and the line of code."""
 

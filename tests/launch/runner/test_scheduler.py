@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from headway.events import Event, Finished, IterationFinished, Started, Usage
+from headway.events import Event, Failed, Finished, IterationFinished, Started, Usage
 from headway_launch.console.progress import JobProgress
 from headway_launch.runner import scheduler
 from headway_launch.runner.cores import CoreShares
@@ -80,6 +80,27 @@ def test_a_training_process_that_does_not_stop_is_killed(
     told = capsys.readouterr().err
     assert told.count("does not stop: killed; training after the last checkpoint is lost") == 1
     assert "seed 0 does not stop" in told
+
+
+@pytest.mark.parametrize(
+    ("lost", "is_asked", "status"),
+    [(True, True, "stopped"), (True, False, "failed"), (False, True, "failed")],
+)
+def test_workers_lost_after_a_stop_request_are_no_failure(
+    lost: bool, is_asked: bool, status: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`scancel` ends the session's workers and their cluster together with the session."""
+    training = _Silent()
+
+    def fail() -> None:
+        if is_asked and not training.asked:
+            signal.raise_signal(signal.SIGTERM)
+        elif not training.theirs.closed:
+            training.theirs.send(Failed("no Ray cluster answers", "", lost))
+            training.theirs.close()
+
+    assert _run([training], fail) == [status]
+    assert capsys.readouterr().err.count("no Ray cluster answers") == 1
 
 
 def test_a_silent_training_process_is_named_once(

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from headway.contracts import HeadwayError
+from headway.contracts.errors import WorkersLostError
 
 _REACHED_S = 5.0
 _FOLDER = "headway-ray-"
@@ -130,7 +131,7 @@ def _open_connection(ray: Any, address: str) -> None:  # noqa: ANN401 - a module
                 f"the Ray cluster{where} requires a token: set RAY_AUTH_MODE=token, here and where nodes are "
                 "started, and RAY_AUTH_TOKEN unless ~/.ray/auth_token holds the head's token"
             ) from error
-        raise HeadwayError(f"the Ray cluster{where} cannot be used: {_one_line(error)}") from error
+        raise WorkersLostError(f"the Ray cluster{where} cannot be used: {_one_line(error)}") from error
 
 
 @contextmanager
@@ -178,7 +179,7 @@ def require_answer(address: str) -> str:
             frame_header = channel.recv(9)
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise HeadwayError(
+        raise WorkersLostError(
             f"no Ray cluster answers at backend.address={address} ({reason}); {_FIX}"
         ) from error
     if frame_header[3:4] != _HTTP2_SETTINGS:

@@ -7,6 +7,7 @@ from math import inf
 from typing import Any, Protocol
 
 from headway.contracts import HeadwayError
+from headway.contracts.errors import WorkersLostError
 from headway.events import Usage
 from headway.rollout.collector import restart_purpose
 from headway.rollout.workers.usage import cpu_seconds_of
@@ -337,7 +338,7 @@ class WorkerPool:
         worker.send(worker.pending[0])
 
 
-class WorkerFailedError(HeadwayError):
+class WorkerFailedError(WorkersLostError):
     """A worker failed twice in a row or lost its machine too often; `details` is its traceback."""
 
 
