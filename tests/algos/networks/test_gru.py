@@ -180,7 +180,7 @@ def test_replayed_hidden_states_equal_a_loop_over_agents(fabricate: Fabricate, p
     learner, track = OnPolicyLearner(config, DISCRETE, (0,), "cpu"), made(fabricate, DISCRETE, 1, absent=0.3)
     network = learner.actor.network
     assert isinstance(network, RecurrentNetwork)
-    hidden_states = learner._hidden_states(track, learner._observations(track))
+    hidden_states = learner._hidden_states(track, learner._observations(track, learner.actor))
     assert isinstance(hidden_states, HiddenStates)
     groups = {n: k for k, members in enumerate(learner.grouping.members) for n in members.tolist()}
     before, after = naive_hidden_states(network, track.observations, track, lambda n: groups[n])
@@ -240,7 +240,7 @@ def rows_of(
     learner: OnPolicyLearner, track: Trajectory, advantages: NDArray[Any]
 ) -> tuple[PolicyBatch, Tensor]:
     """Return what the policy update is given."""
-    observations = learner._observations(track)
+    observations = learner._observations(track, learner.actor)
     rows = learner._policy_batch(track, observations, learner._hidden_states(track, observations))
     return rows, learner.layout.rows(np.broadcast_to(advantages, track.rewards.shape))
 
