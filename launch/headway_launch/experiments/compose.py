@@ -200,7 +200,7 @@ def _require_alike(
     key: str, spec: EnvSpec, other: EnvSpec, whose: str, may_differ: Sequence[str] = ()
 ) -> None:
     """Raise HeadwayError if arguments `key` give a spec that differs from that of another environment."""
-    names = [each.name for each in fields(EnvSpec) if each.name not in may_differ]
+    names = [each.name for each in fields(EnvSpec) if each.compare and each.name not in may_differ]
     pairs = {name: (getattr(spec, name), getattr(other, name)) for name in names}
     differing = {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
     if not differing:
@@ -208,7 +208,7 @@ def _require_alike(
     shown = [
         f"{len(a)} agents here and {len(b)}" if name == "agents" else f"{name} {a} here and {b}"
         for name, (a, b) in differing.items()
-        if name not in ("observation_features", "metrics")
+        if name != "metrics"
     ]
     what = f" ({', '.join(shown)} in {whose})" if shown else ""
     room = ", or set there one that makes room for all, such as max_density of merge" if shown else ""
