@@ -95,7 +95,7 @@ docs: $(STAMP) ## build the documentation as a site, docs/_build/index.html; a w
 	@$(BIN)/python -m sphinx -q -E -a -W --keep-going docs docs/_build $(ARGS)
 	@echo "open docs/_build/index.html"
 
-# Not of `setup`: Ray's processes would import its rfc3987-syntax, which takes each of them two seconds.
+# Not of `setup`: Ray's processes would import its rfc3987-syntax, which is slow: python -X importtime -c 'import ray'
 notebooks: $(COMPILED) ## install JupyterLab if it is missing and open the notebooks; the first one trains a small study
 	@$(PIP_INSTALL) -e ".[notebooks]"
 	@$(BIN)/jupyter lab --notebook-dir=notebooks $(ARGS)

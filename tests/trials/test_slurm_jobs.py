@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from headway.contracts import HeadwayError
-from tests.trials.slurm_jobs import STUDY, slurm, trial
+from tests.trials.slurm_jobs import STUDY, TURNS, slurm, trial
 from tests.trials.two_nodes import SMALL
 
 pytestmark = pytest.mark.cluster
@@ -22,7 +22,10 @@ def test_slurm_jobs_give_the_study_of_one_machine(tmp_path: Path, capsys: pytest
             jobs = stack.enter_context(slurm())
         except HeadwayError as error:
             pytest.skip(str(error))
-        assert trial(jobs, root, (*SMALL, f"study={STUDY}", *settings), ("cluster", "cancelled")) == []
+        assert trial(jobs, root, (*SMALL, f"study={STUDY}", *settings), tuple(TURNS)) == []
     told = capsys.readouterr().out
     assert "cluster: COMPLETED" in told
+    assert "array: COMPLETED" in told
+    assert "failed: FAILED" in told
     assert "cancelled: CANCELLED" in told
+    assert (root / "array" / STUDY / "slurm" / "array.sbatch").exists()

@@ -326,7 +326,7 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     )
 
 
-def _training_config(record: type, env: EnvConfig, key: str, args: Mapping[str, Any]) -> Any:  # noqa: ANN401
+def _training_config(record: type, env: EnvConfig, key: str, args: Mapping[str, Any]) -> object:
     """Return the config of a training environment; `args` are the arguments of `key`, over those of `env`.
 
     Raises HeadwayError, which names an argument by the key under which it was written.

@@ -98,7 +98,7 @@ class OneOfTwo(Game):
 
 
 class FirstMasked(OneOfTwo):
-    """The same game, in which the first agent must not act."""
+    """`OneOfTwo`, with an action mask by which the first agent must not act."""
 
     ALLOWED = np.array([[True, False], [True, True]])
 
@@ -118,7 +118,7 @@ class Gamble(Game):
 
 
 class OpenCoins(Coins):
-    """The same game, in which branches carry over the coins that the source will throw."""
+    """`Coins`, whose branches take over from their source the coins that it will throw."""
 
     def branch_from(self, source: "Game", rows: NDArray[np.int64], seeds: NDArray[np.uint64]) -> Observations:
         return super().branch_from(source, rows, source.seeds[rows])

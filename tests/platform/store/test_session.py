@@ -6,6 +6,7 @@ import socket
 import sqlite3
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -342,6 +343,38 @@ def test_the_wait_for_a_locked_database_is_bounded(root: Path) -> None:
     other.execute("ROLLBACK")
     other.close()
     tracker.cell("study", "cell", {}, {})
+
+
+_ONE_OF_TWO = """
+import sys, time
+root, folder, seed, moment = sys.argv[1:]
+sys.path.insert(0, folder)
+from test_session import StoreConfig, SessionStore, _begin, _train, sync
+time.sleep(max(0.0, float(moment) - time.time()))
+store = SessionStore.open(StoreConfig(root=root))
+run = _begin(store, int(seed))
+_train(run, 1, 10)
+run.finish("FINISHED", {"final_reward": float(seed)})
+store.close()
+sys.exit("; ".join(sync(store.root).problems) or 0)
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_can_make_the_database_of_a_new_store_together(tmp_path: Path) -> None:
+    moment, here = str(time.time() + 1.5), str(Path(__file__).parent)
+    commands = [
+        [sys.executable, "-c", _ONE_OF_TWO, str(tmp_path), here, str(seed), moment] for seed in range(2)
+    ]
+    sessions = [subprocess.Popen(command) for command in commands]
+    assert [session.wait(300) for session in sessions] == [0, 0]
+    assert sorted(row.final_reward or 0.0 for row in RunIndex(tmp_path).rows()) == [0, 1]
+    client = _mlflow(tmp_path)
+    assert len(client.search_experiments()) == 2
+    # One parent for the cell that both share, and each curve once.
+    found = client.search_runs(["1"])
+    points = sorted(len(client.get_metric_history(run.info.run_id, "train/reward")) for run in found)
+    assert points == [0, 10, 10]
 
 
 _KILLED = """

@@ -190,9 +190,9 @@ class Tracker:
             self._ask("set_terminated", run, status, end_time=milliseconds(ended))
 
     def _create_database(self) -> None:
-        """Create MLflow's database if missing, safely for sessions that start together.
+        """Create MLflow's database if missing, safely for processes that start together.
 
-        It is created under a lock and a temporary name, so that a killed session leaves no partial tables.
+        It is created under a lock and a temporary name, so that a killed process leaves no partial tables.
         """
         path, draft = database_path(self.root), self.root / f".{_DATABASE}.partial"
         if path.exists():
