@@ -238,7 +238,7 @@ class Runner:
             kept, own = sum(recorder.store_s for recorder in recorders), self._own_cpu_s
             print_line(
                 f"{STORE_SHARE} {(kept + own) / trained:.1%} of {trained:,.0f} s of training (logs and "
-                f"checkpoints {kept:.1f} s, MLflow and energy {own:.1f} CPU s)"
+                f"checkpoints {kept:.1f} s, records and energy {own:.1f} CPU s)"
             )
 
 

@@ -225,7 +225,7 @@ def _send(
 ) -> tuple[list[str], list[str]]:
     """Send runs, and end their cells and `cells`; return the runs sent and a line per unreadable run or cell.
 
-    A lock admits one session at a time, so that no run is created twice in MLflow.
+    A lock admits one process at a time, so that no run is created twice in MLflow.
     """
     sent: list[RunRecord] = []
     unreadable: list[str] = []
