@@ -71,6 +71,7 @@ def test_ends_of_commands_are_told_apart(
     assert outcome_of(run_forked(["list"], tmp_path, seconds, tmp_path)) is outcome
 
 
+@pytest.mark.slow
 def test_a_failure_is_shrunk_and_reported_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two faults: a 7 anywhere, and a 3 with no 7."""
 

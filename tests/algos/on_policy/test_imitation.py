@@ -164,6 +164,7 @@ def test_actions_that_the_mask_forbids_teach_nothing(fabricate: Fabricate) -> No
     assert_equal({name: after[name] for name in networks}, {name: before[name] for name in networks})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("policies", "spec"), [("shared", MASKED), ("independent", SPEC), ("shared", BOX)])
 def test_seeds_of_a_stack_imitate_as_each_would_alone(
     policies: str, spec: EnvSpec, fabricate: Fabricate

@@ -95,6 +95,7 @@ def test_tensorboard_reads_every_point_of_every_run(runs: list[str]) -> None:
         assert described.startswith("sum of rewards over the episode")
 
 
+@pytest.mark.slow
 def test_wandb_writes_offline_runs(runs: list[str]) -> None:
     pytest.importorskip("wandb")
     assert run(["convert", "lines", "--to", "wandb"]) == 0

@@ -124,6 +124,7 @@ def test_a_picture_of_a_moment_needs_no_more_than_the_steps_before(
     assert len(rendered) == 3
 
 
+@pytest.mark.slow
 def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path, refused: Refused) -> None:
     store = tmp_path / "runs"
     words = [

@@ -26,6 +26,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.slow
 def test_the_imitated_policy_is_given_beside_its_rule(root: Path) -> None:
     folders = sorted((root / "default").glob("*-s*-*"))
     line = start_line("ippo", root, folders, GREEDY)

@@ -61,6 +61,7 @@ def _run(trainings: Sequence[_Silent], tick: Callable[[], Any]) -> list[str]:
     return [job.progress.status for job in jobs]
 
 
+@pytest.mark.slow
 def test_a_training_process_that_does_not_stop_is_killed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -103,6 +104,7 @@ def test_workers_lost_after_a_stop_request_are_no_failure(
     assert capsys.readouterr().err.count("no Ray cluster answers") == 1
 
 
+@pytest.mark.slow
 def test_a_silent_training_process_is_named_once(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

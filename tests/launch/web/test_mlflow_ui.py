@@ -42,6 +42,7 @@ def test_a_write_that_passed_the_list_of_reads_would_fail(tmp_path: Path) -> Non
     assert tracker._ask("get_experiment", experiment).lifecycle_stage == "active"
 
 
+@pytest.mark.slow
 def test_a_folder_may_have_any_name(tmp_path: Path) -> None:
     root = tmp_path / "50% of what? #1 é"
     Tracker(tmp_path)

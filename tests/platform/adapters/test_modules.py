@@ -105,6 +105,7 @@ def prepared(module: str, options: AdapterOptions | None = None, **arguments: ob
     return entry.prepare(build(entry.config, arguments, "env.args", module))
 
 
+@pytest.mark.slow
 def test_an_id_of_the_registry_is_the_environment_of_its_module() -> None:
     rewards = []
     for name in ("pettingzoo:sisl/pursuit-v5", "pettingzoo.sisl.pursuit_v5"):
@@ -274,6 +275,7 @@ def test_an_observation_outside_its_space_is_noticed(zoo: str, seen: float, said
     assert [expected in line for line in lines] == [True] * said
 
 
+@pytest.mark.slow
 def test_a_slow_environment_is_not_played_for_long(zoo: str) -> None:
     begun = time.monotonic()
     assert len(prepared(f"{zoo}.paid_v0", seconds=0.5).notices) == 1

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from headway.contracts.numba_setup import drop_stale_cache
 
 
@@ -55,6 +57,7 @@ double(int(sys.argv[1]) if sys.argv[1].isdigit() else float(sys.argv[1]))
 """
 
 
+@pytest.mark.slow
 def test_two_processes_that_compile_one_function_keep_both_versions(tmp_path: Path) -> None:
     (tmp_path / "doubled.py").write_text(_DOUBLED)
     command = [sys.executable, "-c", _COMPILED_TOGETHER]

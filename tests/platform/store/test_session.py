@@ -333,6 +333,7 @@ def short_lock_wait() -> Iterator[None]:
     sqlalchemy.event.remove(sqlalchemy.Engine, "before_cursor_execute", shorten)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_lock_wait")
 def test_the_wait_for_a_locked_database_is_bounded(root: Path) -> None:
     other = sqlite3.connect(root / "mlflow.db", isolation_level=None)

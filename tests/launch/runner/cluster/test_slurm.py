@@ -17,6 +17,7 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 SWEEP = ("sweep", "env=visitors", "algo=ippo,ia2c", "study=a study", "seed=3,5..6")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"')
 def test_missing_nodes_are_an_error_after_the_timeout() -> None:
     refused = r"^after 0.1 s: .*127.0.0.1:1 \(Connection refused\)"

@@ -93,6 +93,7 @@ def test_a_worker_that_fails_in_mid_iteration_does_not_change_the_data(
     assert "from the last snapshot" in notices[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["hang", "stop"])
 def test_a_worker_that_hangs_in_mid_iteration_does_not_change_the_data(
     tmp_path: Path, undisturbed: list[Taken], fault: Fault
@@ -104,6 +105,7 @@ def test_a_worker_that_hangs_in_mid_iteration_does_not_change_the_data(
     assert "set a higher backend.worker_timeout_s); replaced, repeating" in notice
 
 
+@pytest.mark.slow
 def test_a_worker_that_hangs_twice_ends_the_run_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(
         WorkerFailedError, match=r"failed twice \(no answer for 4 s while stepping faulty"
@@ -286,6 +288,7 @@ def test_absent_agents_may_hold_nan(undisturbed: list[Taken]) -> None:
     assert any(np.isnan(part.arrays["observations"]).any() for part in undisturbed)
 
 
+@pytest.mark.slow
 def test_closing_does_not_wait_for_busy_workers(never: RolloutPlan, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process_workers, "GRACE_S", 2.0)
     with collector_of(never, workers=2) as collector:

@@ -35,6 +35,7 @@ def test_an_update_that_is_pending_is_sent_once(tmp_path: Path) -> None:
     assert mlflow.notices() == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outage", [1, 2])
 def test_an_update_that_fails_at_the_end_is_tried_once_more(tmp_path: Path, outage: int) -> None:
     mlflow, attempts, after = TrackingThread(tmp_path, database_uri(tmp_path)), [], []
