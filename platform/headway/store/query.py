@@ -63,7 +63,7 @@ def select(
 ) -> "RunSelection":
     """Select the runs in the store at `root` that pass all filters, oldest first.
 
-    A filter is one value or several; `newest`: keep only the last started run of each cell and seed.
+    A filter is one value or several; `newest`: keep only the run of each cell and seed that started last.
 
     Raises HeadwayError if there is no store, or if no run has a given value (except for `status` and `seed`,
     which may match no run).

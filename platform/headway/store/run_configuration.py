@@ -10,9 +10,9 @@ from headway.registry import algo_entries
 from headway.store.atomic_files import require_regular
 
 _MAX_DEPTH = 100
-"""Most levels of a configuration."""
+"""Maximum number of nested levels in a configuration."""
 _MAX_NODES = 100_000
-"""Most keys and values of a configuration."""
+"""Maximum number of keys and values in a configuration."""
 
 
 def read_configuration(directory: Path) -> dict[str, Any]:
@@ -36,9 +36,10 @@ def read_configuration(directory: Path) -> dict[str, Any]:
 
 
 def require_small_yaml(text: str) -> None:
-    """Raise ValueError for YAML so deep, or so long with its aliases written out, that reading it never ends.
+    """Raise ValueError for YAML too deep, or too long once its aliases are expanded, to be read in reasonable
+    time.
 
-    Raises yaml.YAMLError for text that is no YAML.
+    Raises yaml.YAMLError for text that is not YAML.
     """
     import yaml
 

@@ -258,8 +258,8 @@ def _slug(name: str) -> str:
 def read_summary(directory: Path) -> dict[str, Any]:
     """Read a run's `summary.json`; empty if it has none yet. Raises HeadwayError if the file is broken.
 
-    Values are texts for `energy.*`, else numbers; None for what is unknown, no number below 1e100, or an
-    integer of more than 64 bits.
+    Values of `energy.*` are strings, others numbers. None: an unknown value, NaN, a number of 1e100 or more,
+    or an integer of more than 64 bits.
     """
     path = directory / SUMMARY
     content = read_json(path) if path.exists() else {}

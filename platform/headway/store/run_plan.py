@@ -16,9 +16,9 @@ class RunPlan:
     """The stored plan of a run."""
 
     stack: tuple[int, ...]
-    """Seeds that are trained together; every one's checkpoint contains the whole stack."""
+    """Seeds that are trained together; the checkpoints of each contain the whole stack."""
     workers: int | None
-    """Number of rollout workers, each of which has a part in the checkpoint; None if not stored."""
+    """Number of rollout workers, each with a snapshot in the checkpoint; None if not stored."""
     block: int | None
     """Environment copies whose actions are computed together, possibly fewer than configured; None if not
     stored."""

@@ -279,7 +279,7 @@ class Run:
         """End the run after its training process: close its gate, then write summary and status.
 
         `summary`: `final_reward`, `auc`, `kwh`, `kg_co2`, ...; None: unknown. A run that an earlier session
-        finished keeps its summary, which MLflow may have and could only append to. Raises HeadwayError if the
+        finished keeps its summary: MLflow may have it already and can only append. Raises HeadwayError if the
         files cannot be written or the log cannot be read.
         """
         close_gates(self.directory)

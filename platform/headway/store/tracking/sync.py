@@ -104,10 +104,10 @@ class RunSync:
 
 
 class Synced(NamedTuple):
-    """What a synchronisation has done."""
+    """Result of a synchronisation."""
 
     runs: tuple[str, ...] = ()
-    """Runs that MLflow now has up to their last checkpoint; without those that it had so before."""
+    """Runs brought up to their last checkpoint in MLflow, without those that were up to date before."""
     problems: tuple[str, ...] = ()
     """One line per run and cell that cannot be read."""
     attended: int = 0
@@ -320,7 +320,7 @@ def _is_complete(folder: Path, record: RunRecord, root: Path, tracking_uri: str 
 
 
 def _progress(record: RunRecord) -> str:
-    """Return a text that changes whenever there is more to send; a resumed run ends again."""
+    """Return a text that changes whenever there is more to send, also if a resumed run ends again."""
     return f"{record.settled_status} {record.ended or ''} {record.durable_iteration}"
 
 
