@@ -28,9 +28,10 @@ def chosen_algo(mapping: Mapping[str, Any]) -> tuple[AlgoEntry, Any]:
 
 
 def _key_elsewhere(algo: AlgoEntry, hyper_parameters: Mapping[str, Any], key: str) -> str | None:
-    """Return where a key exists that the algorithm lacks with these hyper-parameters; None if nowhere.
+    """Return a remark on where a key exists that the algorithm lacks with these settings; None: it exists
+    nowhere.
 
-    The choices of this algorithm that have the key are named or, if there are none, the other algorithms.
+    The remark names the choices of this algorithm that have the key or, if there are none, other algorithms.
     """
 
     def has_key(record: type) -> bool:

@@ -19,8 +19,8 @@ class ChosenEnv:
     entry: EnvEntry
     """Environment of evaluation and reports: with all wrappers except those that only change rewards."""
     training_entry: EnvEntry
-    """Environment of training: with all wrappers. Both entries have the same `make`. If the accepted
-    arguments are known only from those given, its `config` also accepts `training_args`."""
+    """Environment of training: with all wrappers. Both entries have the same `make`. For an environment that
+    takes any keyword, `config` has the keys of `args` and also accepts those of `training_args`."""
     mapping: dict[str, Any]
     """The keys of `env.*` except `id` and `args`, with all arguments of wrappers written out. Keys left at
     null or empty are omitted."""

@@ -72,7 +72,7 @@ class EvaluationFinished:
     usage: Usage
     """Usage of the training process and its workers."""
     mean_return: float
-    """Mean over the seeds of the return that the curve holds for this evaluation."""
+    """Mean return over the seeds, as in the learning curve."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class Failed:
     """One line: what is wrong and what to do."""
     traceback: str
     lost: bool = False
-    """Whether workers or their cluster were lost, rather than that training went wrong."""
+    """Whether workers or their cluster were lost; False: training itself failed."""
 
 
 Event = Started | IterationFinished | EvaluationFinished | CheckpointSaved | Notice | Finished | Failed

@@ -54,7 +54,7 @@ def wrapper_entries() -> Mapping[str, WrapperEntry]:
 
 
 def env_entry(name: str) -> EnvEntry:
-    """Return the environment with this name, or one that `is_external`.
+    """Return the entry of a registered environment, or of one that `is_external`.
 
     Raises HeadwayError, suggesting the nearest name, if there is none.
     """
@@ -67,9 +67,9 @@ def env_entry(name: str) -> EnvEntry:
 
 
 def is_external(name: str) -> bool:
-    """Return whether `name` is the place of an environment's code, and not of a registered environment.
+    """Return whether `name` locates the code of an environment instead of naming a registered one.
 
-    It is a PettingZoo module (`mpe2.simple_spread_v3`), a Python file (`./shuttle.py`) or MODULE:ID
+    Such a name is a PettingZoo module (`mpe2.simple_spread_v3`), a Python file (`./shuttle.py`) or MODULE:ID
     (`gymnasium:CartPole-v1`).
     """
     return ("." in name or ":" in name) and name not in env_entries()

@@ -6,7 +6,7 @@ from math import inf
 MIN_TIMEOUT_S = 60.0
 """Shortest limit that is derived from earlier waits, s."""
 START_TIMEOUT_S = 900.0
-"""Limit on making or restoring environments, s, which nothing earlier foretells."""
+"""Limit on making or restoring environments, s, for which there are no earlier waits."""
 
 
 @dataclass
@@ -20,7 +20,7 @@ class AdaptiveTimeout:
     min_s: float = MIN_TIMEOUT_S
     """Shortest derived limit, s."""
     longest_s: float = 0.0
-    """0: no wait yet."""
+    """Longest wait so far, s; 0: none yet."""
 
     def add(self, seconds: float) -> None:
         """Include a wait."""

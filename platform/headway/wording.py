@@ -11,7 +11,7 @@ _UNITS = {
     "per hour": ("per hour", "vph"),
     "gallons/s": ("gallons/s", "gal_s"),
 }
-"""Unit as shown, and as a part of a metric's name, by the last words of the metric's description."""
+"""Unit as displayed, and its form in metric names, by the unit that ends a metric's description."""
 
 
 def counted(count: int, what: str) -> str:

@@ -40,10 +40,11 @@ class EnvFile:
         return hashlib.sha256(self.source).hexdigest()[:_DIGITS]
 
     def load(self) -> ModuleType:
-        """Execute the text, once per process, and return its module. An exception of the text is passed on.
+        """Execute the file's text, once per process, and return the module. Exceptions raised by the text
+        propagate.
 
-        The file's folder joins the end of `sys.path`, so that the file can import its neighbours; for a file
-        of a package, it is the folder that holds the package, and relative imports work.
+        The file's folder is appended to `sys.path`, so that the file can import its neighbours. For a file of
+        a package, the folder that contains the package is appended instead, and relative imports work.
         """
         folder = Path(self.path).parent
         package: list[str] = []
@@ -68,9 +69,10 @@ class EnvFile:
 
 
 def require_unchanged(env_id: str, digest: str | None) -> None:
-    """Raise HeadwayError if an environment's file is not the one that had `digest`, if that is known.
+    """Raise HeadwayError if an environment's file has another digest than `digest`. None: unknown, not
+    checked.
 
-    Training it would store its curves with the digest of another text.
+    Training would otherwise store its curves under the digest of another text.
     """
     if is_file_id(env_id) and digest not in (None, EnvFile.read(env_id).digest):
         raise HeadwayError(

@@ -31,7 +31,8 @@ from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, Observ
 from headway.contracts.errors import one_line
 
 _PROBE_STEPS, _PROBE_SECONDS, _PROBE_OBSERVATIONS = 100, 2.0, 20
-"""Most steps and seconds of random play, and steps after which observations have been seen enough."""
+"""Limits of the random play that probes an environment: steps, seconds, and steps in which at least
+observations are checked."""
 _ROUNDING = 1e-5
 _NUMBERED = re.compile(r"(.+?)_?\d+")
 
@@ -112,10 +113,10 @@ class ModuleRenderer:
         self._last: NDArray[np.uint8] | None = None
 
     def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
-        """Return the picture that the environment of the first copy gives, (height, width, 3).
+        """Return the first copy's picture, (height, width, 3).
 
-        At the end of an episode, when the environment has begun the next, return the last picture again.
-        Raises HeadwayError if the environment gives none.
+        When an episode has ended and the environment has already begun the next, return the last picture
+        again. Raises HeadwayError if the environment returns no picture.
         """
         if at_end and self._last is not None:
             return self._last
@@ -159,10 +160,10 @@ def _prepare(named: ModuleEnv, config: Any) -> ModuleEnv:  # noqa: ANN401 - its 
 
 @dataclass
 class _Play:
-    """What a few steps of random play showed."""
+    """Findings from a few steps of random play."""
 
     pays_all_alike: bool = False
-    """All live agents' rewards were equal, and not always 0, at each step."""
+    """All live agents received equal rewards at each step, and not always 0."""
     outside: tuple[str, ...] = ()
     """The first observation outside its space, as a line for the user."""
 
@@ -170,7 +171,7 @@ class _Play:
 def _play_randomly(module: str, env: Any, options: AdapterOptions) -> _Play:  # noqa: ANN401 - see ModuleEnv.make
     """Play up to _PROBE_STEPS steps, or fewer if they take longer than _PROBE_SECONDS or rewards differ.
 
-    Shows nothing for an environment that needs wrappers before it can be played.
+    Returns no findings for an environment that cannot be played without wrappers.
     """
     options, rule = replace(options, agents_come_and_go=True), RandomRule()
     deadline, paid, alike, found = time.monotonic() + _PROBE_SECONDS, False, True, _Play()
@@ -231,9 +232,10 @@ Factory = Callable[..., Any]
 
 
 def _callables(name: str, file: EnvFile | None) -> tuple[Factory, Factory | None]:
-    """Return the function that makes an environment, and the one whose signature lists its arguments.
+    """Return the function that makes an environment, and the function whose signature lists its arguments, if
+    any.
 
-    The latter is None if none does. Raises HeadwayError if the environment is not found.
+    Raises HeadwayError if the environment is not found.
     """
     if file is None and ":" in name:
         require_registering_module(name)
@@ -257,7 +259,7 @@ def _callables(name: str, file: EnvFile | None) -> tuple[Factory, Factory | None
 def _pettingzoo_spec(name: str) -> Any:  # noqa: ANN401 - PettingZoo comes without types
     """Return the entry of an id in PettingZoo's registry; None if it is not there.
 
-    Raises HeadwayError, with the nearest id, if it is said to be one of PettingZoo's own.
+    Raises HeadwayError, suggesting the nearest id, for an unknown id with the prefix `pettingzoo:`.
     """
     import pettingzoo
 

@@ -37,7 +37,7 @@ from headway.contracts.spaces import allows_action
 Infos = Mapping[str, Mapping[str, Any]]
 StepAnswer = tuple[Mapping[str, Any], Mapping[str, float], Mapping[str, bool], Mapping[str, bool], Infos]
 _MALFORMED = (TypeError, ValueError, KeyError, AttributeError, IndexError)
-"""Errors of reading an answer of another form than PettingZoo's."""
+"""Exceptions raised when a value that an environment returned does not have PettingZoo's form."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class ParallelEnvBatch:
     NaN and infinity are passed on: the caller checks values, since it can name the copies.
 
     Raises HeadwayError for spaces that differ between agents or are not supported, live agents without an
-    observation or a reward, answers of agents that are not in `possible_agents`, agents that leave early
+    observation or a reward, entries for agents that are not in `possible_agents`, agents that leave early
     without `agents_come_and_go`, rewards that differ despite `shared_reward`, and episodes that end without
     the declared metrics.
     """
@@ -335,12 +335,13 @@ class ParallelEnvBatch:
             ) from error
 
     def _require_observations(self, observations: Mapping[str, Any], due: NDArray[np.bool_]) -> None:
-        """Raise HeadwayError if an agent that is due (N,) has none: an older one would be taken for it."""
+        """Raise HeadwayError if an agent in `due` (N,) has no observation; an older one would be used in its
+        place."""
         if len(observations) < len(self._spec.agents):
             self._require_given("observation", observations, due)
 
     def _require_rewards(self, copy: int, rewards: Mapping[str, float]) -> None:
-        """Raise HeadwayError if an agent whose action was due has none, or an unknown agent has one."""
+        """Raise HeadwayError if an agent that had to act has no reward, or if an unknown agent has one."""
         if len(rewards) == len(self._spec.agents) and rewards.keys() == self._index.keys():
             return
         self._require_known("a reward", rewards)
@@ -364,7 +365,7 @@ class ParallelEnvBatch:
                 )
 
     def _slot_rewards(self, rewards: Mapping[str, float], live: Sequence[str] | None) -> list[float]:
-        """Return the reward of each slot (N,); `live` are the agents whose actions were due, None: all."""
+        """Return the reward of each slot (N,); `live` are the agents that had to act, None: all."""
         agents = self._spec.agents
         if not self._spec.shared_reward:
             return [rewards.get(agent, 0.0) for agent in agents]

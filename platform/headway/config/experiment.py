@@ -24,7 +24,7 @@ def without_password(uri: str) -> str:
 
 
 def _require_study(name: str) -> None:
-    """Raise ValueError for a study name that cannot be the name of a folder and of a picture file."""
+    """Raise ValueError for a study name that cannot be used as the name of a folder and of a picture file."""
     forms = "write letters, digits, spaces and . _ -, such as study=bus_line"
     shown = repr(name) if len(name) <= _STUDY_LENGTH else f"{name[:20]!r}..."
     named = any(letter.isascii() and letter.isalnum() for letter in name)
@@ -131,9 +131,9 @@ class BackendConfig:
     """For `ray`: CPUs requested from the cluster per worker. null: 1, or 0 for `local`, where the session
     assigns the cores itself."""
     worker_timeout_s: float | None = None
-    """Seconds that a worker may take for a rollout or an evaluation before it is replaced, as one that died
-    is; twice as many for its replacement. null: ten times the longest so far, at least 60. To make its
-    environments it may take ten times as many, at least 60, or 900 for null."""
+    """Time limit, in s, on a worker's rollout or evaluation, after which the worker is replaced as if it had
+    died; the replacement gets twice the time. null: ten times the longest time so far, at least 60. Making
+    environments may take ten times the limit, at least 60; 900 for null."""
     learners: Literal["here", "cluster"] | None = None
     """For `ray`: `here`: runs train on this machine, with workers on the cluster; `cluster`: each run is
     placed on one node of the cluster, with its workers (`store.root` must be on a file system that all
@@ -179,8 +179,9 @@ class StartConfig:
     kl_coeff: float = 0.0
     """Coefficient of a penalty on the policies' loss, KL(start policy || policy) in the states that policies
     visit, which keeps them near where they started; 0: none. It falls linearly to 0 at the end of training.
-    In this direction whatever the start policy does has to stay likely, as in imitation. In the other one
-    actions that it hardly takes would cost most: policies that imitate a rule would not explore."""
+    In this direction of the divergence, actions that are likely under the start policy must stay likely, as
+    in imitation. The other direction would penalise most the actions that the start policy hardly takes, so
+    that policies that imitate a rule would not explore."""
     critic_iterations: int = 0
     """Number of first iterations after the start in which only critics and normalisers learn: an untrained
     critic would spoil a good policy."""
@@ -205,7 +206,7 @@ class StartConfig:
 
     @property
     def anchors(self) -> tuple[str, ...]:
-        """The keys set of those that keep policies near the start."""
+        """Keys in use that keep policies near the start."""
         return tuple(key for key in ("kl_coeff", "critic_iterations") if getattr(self, key) > 0)
 
 
@@ -320,16 +321,16 @@ class ExperimentConfig:
     algo: Mapping[str, Any] = field(default_factory=dict)
     """`name` and hyper-parameters, validated by the algorithm's own record."""
     preset: str = ""
-    """File in configs/preset, whose values every other setting overrides; `none`: no preset. It names the
-    cells of a study that has several presets. Empty: unknown."""
+    """File in configs/preset. Every other setting overrides its values. `none`: no preset. The preset is part
+    of the cells' names in a study that has several presets. Empty: unknown."""
     candidate: str = ""
     """Name of the search candidate, part of the names of its cells; set by `headway search`."""
     start: StartConfig = field(default_factory=StartConfig)
     stages: tuple[StageConfig, ...] = ()
     """Stages of training, such as a curriculum: `[{env_steps: 300_000, training_args: {density: 1}},
     {env_steps: 700_000, training_args: {density: 3}}]`. In each, `training_args` override those of `env`, and
-    training goes on with the same policies, optimisers and normalisers. Evaluation stays on `env.args`. Each
-    ends with the iteration that reaches its last step. []: one stage, as `env` says."""
+    training goes on with the same policies, optimisers and normalisers. Evaluation always uses `env.args`.
+    Each stage ends with the iteration that reaches its last step. []: one stage, with `env.training_args`."""
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
@@ -390,7 +391,7 @@ class ExperimentConfig:
         return last_iterations(lengths, self._iteration_steps) or (self.iterations,)
 
     def stage_after(self, iteration: int) -> int:
-        """Return the place of the stage in which training is after an iteration."""
+        """Return the index of the stage that training is in after `iteration` iterations."""
         return min(bisect_right(self.stage_ends, iteration), len(self.stage_ends) - 1)
 
     @property

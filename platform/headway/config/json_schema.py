@@ -11,7 +11,8 @@ from headway.config.schema import field_docs, plain
 Schema = dict[str, Any]
 
 _NUMBER = r"^([-+]?\.?\d[\d_.]*([eE][-+]?\d+)?|\$\{.*\})$"
-"""Text in a number's place: 50_000 and 3e-4, which are numbers to some YAML parsers only, interpolations."""
+"""Text accepted in place of a number: interpolations, and forms such as 50_000 and 3e-4, which only some YAML
+parsers read as numbers."""
 _SCALARS: Mapping[Any, Schema] = {
     bool: {"type": "boolean"},
     int: {"type": ["integer", "string"], "pattern": _NUMBER},
@@ -22,7 +23,8 @@ _SCALARS: Mapping[Any, Schema] = {
 
 
 def record_schema(*record_classes: type) -> Schema:
-    """Return the schema of a mapping with the keys of record classes; the first that has a key describes it.
+    """Return the schema of a mapping with the keys of record classes; the first class that has a key
+    describes it.
 
     No key is required, since other files may set it.
     """
@@ -58,7 +60,8 @@ def hint_schema(hint: object) -> Schema:
 
 
 def _default(field: "dataclasses.Field[Any]") -> Schema:
-    """Return the keyword `default`, unless there is none or the keys of a nested record have their own."""
+    """Return the schema's keyword `default`; empty if there is no default or if the keys of a nested record
+    have their own."""
     default = field.default if field.default_factory is MISSING else field.default_factory()
     if default is MISSING or dataclasses.is_dataclass(default):
         return {}

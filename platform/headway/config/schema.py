@@ -23,14 +23,14 @@ _SPAN = re.compile(r"\s*(\d+)\s*\.\.\s*(\d+)\s*")
 _RANGE = re.compile(r"\s*range\(\s*(\d+)\s*,\s*(\d+)\s*(?:,\s*(\d+)\s*)?\)\s*")
 _NEGATIVE = re.compile(r"\s*\[?\s*-\d+\s*(\]|\.\.|,|$)")
 _MAX_NAMES, _NEAREST_NAMES = 30, 8
-"""Longer lists of names are shortened to the `_NEAREST_NAMES` nearest in messages, which must fit on a
-line."""
+"""In messages, lists of more than `_MAX_NAMES` names are shortened to the `_NEAREST_NAMES` nearest, to fit on
+a line."""
 _MIN_PREFIX = 3
 """Length from which the beginning of a name is matched as an abbreviation."""
 _MAX_INT = 2**63 - 1
-"""Largest whole number: that of databases and of numpy."""
+"""Largest integer accepted: that of databases and of numpy's int64."""
 _MAX_SEEDS = 10_000
-"""Most seeds of one range."""
+"""Maximum number of seeds in a range."""
 _SEED_FORMS = "write 7, 0,1,2, [0,1], 0..49 or range(0,50)"
 
 

@@ -1,7 +1,7 @@
 """Registry entries: everything that the platform uses of a named environment or algorithm.
 
 Third parties register theirs by entry point (`headway.envs`, `headway.algos`), each a mapping from name to
-entry. Wrapper entries are in `headway.contracts.wrapper`. Callables in entries may be a `Lazy`, which is
+entry. Wrapper entries are in `headway.contracts.wrapper`. A callable in an entry may be a `Lazy`, which is
 imported when it is first called.
 """
 
@@ -48,7 +48,8 @@ def _no_replay(config: Any, spec: EnvSpec, env_steps: int) -> int:  # noqa: ANN4
 class Rule(Protocol):
     """A classical controller. It may inspect the environment itself, not only the observations.
 
-    State of its own is in no snapshot: training that starts from such a rule is not resumed exactly.
+    Snapshots do not contain the state of a rule: training that starts from a rule with state is not resumed
+    exactly.
     """
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[Any]:
@@ -72,7 +73,7 @@ class Renderer(Protocol):
     def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
         """Return the first copy as an RGB picture, shape (height, width, 3), the same size on every call.
 
-        `at_end`: show how the last episode ended, not how the next one begins.
+        `at_end`: show the end of the last episode instead of the beginning of the next.
         """
         ...
 
@@ -87,7 +88,7 @@ class EnvEntry:
     """Frozen dataclass of the environment's arguments, the keys of `env.args`.
 
     Each field needs a docstring, which `headway list envs NAME` shows. `__post_init__` raises ValueError for
-    impossible values.
+    invalid values.
     """
     make: Callable[[Any, int], BatchedEnv]
     """(prepared, copies) -> batched environment of `copies` copies.
@@ -118,13 +119,13 @@ class EnvEntry:
     None: no PettingZoo wrapper can be used.
     """
     rules: Mapping[str, RuleEntry] = field(default_factory=dict)
-    """Rules by name. The rule `random` is added unless one is registered under this name."""
+    """Rules by name. The rule `random` is added unless the environment has a rule of this name."""
     lookahead: str | None = None
-    """Rule that the rule `lookahead` improves on by default. None: there is no such rule, since batches are
-    not of the kind `BranchingEnv`."""
+    """Default base rule of the rule `lookahead`. None: the environment has no `lookahead`, since its batches
+    are no `BranchingEnv`."""
     simulated: Callable[[Any], Any] = _identity
-    """(prepared) -> what `lookahead` simulates: the same environment, possibly with rewards that charge at
-    once what an action will cost beyond the horizon."""
+    """(prepared) -> prepared data for the simulations of `lookahead`: the same environment, possibly with
+    rewards that charge at once what an action will cost beyond the horizon."""
     metrics: Mapping[str, str] = field(default_factory=dict)
     """Description of each episode metric, its unit last (`..., m/s`), in the order of `EnvSpec.metrics`."""
     renderer: Callable[[Any], Renderer] | None = None
@@ -153,11 +154,12 @@ class AlgoEntry:
     source: str
     """Paper, with its arXiv number."""
     config: type
-    """Frozen dataclass of the hyper-parameters, the keys of `algo`, by default. Same rules as for
-    `EnvEntry.config`.
+    """Frozen dataclass of the hyper-parameters (the keys of `algo`), unless `record` chooses another. Same
+    rules as for `EnvEntry.config`.
 
-    The class variable `VALUES_BEFORE` maps keys added later to the value that reproduces the behaviour before
-    they existed, if it is not the default: runs stored without the key have it.
+    The class variable `VALUES_BEFORE` is for keys that were added later and whose default changes the
+    behaviour: it maps each to the value that reproduces the earlier behaviour. Stored runs without the key
+    have that value.
     """
     acting_policy: Callable[[Any, EnvSpec], ActingPolicy]
     """(config, spec) -> the policy that workers run. Here and for the learner and contributor `spec` is
@@ -188,8 +190,8 @@ class AlgoEntry:
     """(config) -> default values of keys of `rollout`, such as `{"steps": 16}`. Every file and override takes
     precedence over them; keys left out have the platform's defaults (`headway list keys rollout`)."""
     record: Callable[[Mapping[str, Any]], type] | None = None
-    """(hyper-parameters given) -> frozen dataclass of all of them, if some values decide which keys there
-    are; None: always `config`."""
+    """(given hyper-parameters) -> frozen dataclass of all of them, for algorithms in which some values decide
+    which keys exist; None: always `config`."""
 
     stored: Callable[[Mapping[str, Any]], Mapping[str, Any]] = _identity
     """(hyper-parameters stored by an earlier version) -> the hyper-parameters without those that had no

@@ -190,15 +190,16 @@ class BatchedEnv(Protocol):
 
 
 class BranchingEnv(BatchedEnv, Protocol):
-    """An environment whose present states can be played on in another batch, for the rule `lookahead`."""
+    """An environment that can continue from the present states of another batch, as the rule `lookahead`
+    needs."""
 
     def branch_from(
         self, source: BatchedEnv, rows: NDArray[np.int64], seeds: NDArray[np.uint64]
     ) -> Observations:
         """Continue copy c from the present state of copy `rows[c]` of `source`; return the observations.
 
-        `source` is a batch of the same environment and arguments; `rows` and `seeds` are (C,). All that
-        happens from now on must follow from seeds[c]: nothing that `source` has drawn for its future, and
-        will draw, may be carried over.
+        `source` is a batch of the same environment and arguments; `rows` and `seeds` are (C,). All later
+        randomness must follow from seeds[c]: random events that `source` has drawn in advance must not be
+        carried over.
         """
         ...

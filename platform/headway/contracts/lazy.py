@@ -10,7 +10,7 @@ from typing import Any
 class Lazy:
     """A callable named by `"module:attribute"`, for registries, and imported at its first call.
 
-    It pickles as its name, so light workers and `--help` import only what they call.
+    It is pickled as its name, so that light workers and `--help` import only what they call.
     """
 
     target: str

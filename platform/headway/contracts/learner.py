@@ -57,7 +57,7 @@ class LearnerWithReplay(Learner, Protocol):
     def replay_state(self) -> dict[str, Any] | None:
         """Return the replay data needed, in addition to `state_dict`, to continue exactly; None: none now.
 
-        Its values have the types allowed there.
+        Its values have the types allowed in `state_dict`.
         """
         ...
 
@@ -76,16 +76,16 @@ class StartingLearner(Learner, Protocol):
         """Learn from an iteration in which a rule acted; result and errors are those of `update`.
 
         `trajectory.actions` are the rule's, in the units of policies, and `log_probs` are 0. The rule acts in
-        the first `iterations`, of which `iteration` is one, counted from 1; policies must have learned after
-        the last.
+        the first `iterations` iterations; `iteration` counts from 1. After the last of them, the policies
+        must have been trained.
         """
         ...
 
     def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
         """Take over the policies of another run, the same for all replicas; return notices.
 
-        `state` is the `state_dict` of a learner of `replicas` replicas, of which `replica` counts; its
-        policies have the shapes of this learner's. `with_critic`: take over the critic too, if it fits.
+        `state` is the `state_dict` of a learner of `replicas` replicas; the policies of replica `replica` are
+        taken, which have the shapes of this learner's. `with_critic`: take over the critic too, if it fits.
         Raises HeadwayError if the state cannot be used.
         """
         ...
@@ -96,7 +96,7 @@ class AnchoredLearner(StartingLearner, Protocol):
     """A learner that can stay near the policies with which it started."""
 
     def anchor(self, kl_coeff: float, critic_only: bool) -> None:
-        """Say how the next `update` treats the policies; called before each one.
+        """Set how the next `update` treats the policies. Called before every update.
 
         `kl_coeff`: coefficient of a penalty KL(start policy || policy); the start policies are those at the
         first call in which it is above 0. `critic_only`: leave the policies' parameters unchanged.

@@ -11,7 +11,7 @@ from headway.contracts.random_streams import generator
 from headway.contracts.spaces import Box, Discrete, MultiDiscrete
 
 _UNBOUNDED_WIDTH = 10.0
-"""Largest distance of a draw from a Box component's one finite bound, or from 0 if it has none."""
+"""Maximum distance of a draw from the only finite bound of a Box component, or from 0 if it has none."""
 
 
 def random_allowed(

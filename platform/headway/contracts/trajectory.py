@@ -17,7 +17,7 @@ _ALIGNMENT = 64  # bytes, a cache line
 
 
 def aligned(nbytes: int) -> int:
-    """Round a number of bytes up, so that an array of any dtype may start after them."""
+    """Round a number of bytes up to a multiple at which an array of any dtype may start."""
     return -(-nbytes // _ALIGNMENT) * _ALIGNMENT
 
 

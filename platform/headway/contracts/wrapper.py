@@ -32,9 +32,9 @@ class BatchedWrapper:
     wrap: Callable[[BatchedEnv], BatchedEnv]
     """(batched environment) -> wrapped environment. Must be picklable.
 
-    Input rows of agents not alive hold what a ParallelEnv shows such agents, zeros for a native environment.
-    The result has two attributes that rules use: `inner`, the environment given, and `inner_observed`, its
-    last observations.
+    Input rows of agents that are not alive hold what a ParallelEnv returns for them; zeros for a native
+    environment. The result has two attributes that rules use: `inner`, the environment given, and
+    `inner_observed`, its last observations.
     """
     bounds: ObservationBounds
     """Bounds of the wrapped environment's observations."""
@@ -48,7 +48,7 @@ class WrapperEntry:
     """One line for `headway list wrappers`."""
     config: type
     """Frozen dataclass of the wrapper's arguments, each field with a docstring. `__post_init__` raises
-    ValueError for impossible values."""
+    ValueError for invalid values."""
     wrap: Callable[[Any, Any], Any]
     """(ParallelEnv, arguments) -> wrapped ParallelEnv.
 
@@ -56,7 +56,8 @@ class WrapperEntry:
     unchanged.
     """
     batched: Callable[[Any, ObservationBounds], BatchedWrapper | None] | None = None
-    """(arguments, bounds of the environment to wrap) -> batched form, or None if there is none for these.
+    """(arguments, bounds of the environment to wrap) -> batched form; None if these arguments or bounds have
+    none.
 
     Raises HeadwayError if an environment with these bounds cannot be wrapped. The field itself is None if the
     wrapper has no batched form.

@@ -122,7 +122,7 @@ class EnergyLedger:
         self._settled: dict[str, Energy] = {}
 
     def open(self, job: str, cpu_seconds: float) -> None:
-        """Open a job's account. `cpu_seconds` were used before and are not charged."""
+        """Open a job's account. The `cpu_seconds` used before are not charged."""
         self._accounts[job] = _Account(self._bounds[-1], cpu_seconds)
 
     def record(self, time: float, jobs: Mapping[str, JobUsage], gpu_shares: Mapping[str, float]) -> None:

@@ -116,7 +116,7 @@ class PolicyDescription:
         return description
 
     def _check(self) -> None:
-        """Raise ValueError if the agents and the network's numbers and names do not fit each other."""
+        """Raise ValueError unless the network's sizes and names are consistent with the agents."""
         network, agents = self.network, len(self.agents)
         fits = (
             0 < agents == len(set(self.agents)) == len(network.policy_of_agent),

@@ -179,7 +179,7 @@ def policy_bytes(form: str, description: PolicyDescription, arrays: Arrays) -> b
 
 
 def read_policy(path: Path) -> Policy:
-    """Read a policy's file, whose suffix tells its format. Reading TorchScript runs what the file contains.
+    """Read a policy's file, in the format given by its suffix. Reading TorchScript runs code in the file.
 
     Raises HeadwayError if it cannot be read, is damaged or was not written by `headway export`.
     """

@@ -23,7 +23,7 @@ def require_parity(
     network, None without recurrent units.
 
     Raises HeadwayError if the distribution's parameters or the next hidden states differ by more than
-    `TOLERANCE`, or if the greedy actions differ and are no ties.
+    `TOLERANCE`, or if greedy actions differ that are not tied.
     """
     description, alive = policy.description, observed.alive
     rows = np.where(alive[..., None], observed.observations, np.float32(0))

@@ -47,5 +47,5 @@ def spec_of(content: Mapping[str, Any]) -> EnvSpec:
 
 
 def features_of(content: Iterable[Mapping[str, Any]]) -> tuple[ObservationFeature, ...]:
-    """Return features of observations from their JSON values. Raises TypeError if they are none."""
+    """Return features of observations from their JSON values. Raises TypeError if a value has other keys."""
     return tuple(ObservationFeature(**feature) for feature in content)

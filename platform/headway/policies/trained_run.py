@@ -19,7 +19,7 @@ from headway.store.run_folder import RunRecord
 from headway.store.run_plan import PLAN, RunPlan
 
 _STORED_NAMES = {"gru_weight_hidden": "gru_weight_memory", "gru_bias_hidden": "gru_bias_memory"}
-"""Names of arrays in checkpoints that are not those of `PolicyNetwork`."""
+"""Names in checkpoints of those arrays that have another name in `PolicyNetwork`."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Protection of processes against environments that fork, and against main modules."""
+"""Protection of worker processes against environments that fork, and against importing the main module."""
 
 import os
 import sys
@@ -8,9 +8,9 @@ from typing import Any
 
 
 def end_if_forked(process_id: int) -> None:
-    """End this process if it is not `process_id`: an environment forked it off.
+    """End this process if its id is not `process_id`, which means that an environment forked it off.
 
-    It would otherwise run on as a second worker, with the same pipe and the same shared memory.
+    It would otherwise continue as a second worker, with the same pipe and the same shared memory.
     """
     if os.getpid() != process_id:
         os._exit(1)

@@ -22,26 +22,26 @@ STEPS, SAMPLES = 30, 8
 _BATCH_SIZES = (16, 8, 4, 2, 1)
 """Numbers of joint actions simulated in one batch."""
 _MARGIN = 2.0
-"""Standard errors by which an action must do better than the one it replaces: chance differences of many
-decisions would otherwise undo what the base rule does."""
+"""Number of standard errors by which an action must do better than the one it replaces. Without a margin,
+chance differences would undo many decisions of the base rule."""
 
 
 def is_lookahead(rule: str) -> bool:
-    """Return whether a rule of this name is a reference for what could be gained, and no controller to use.
+    """Return whether this is `lookahead`, a reference for the possible gain rather than a usable controller.
 
-    Such a rule is played only where it is named, and never counts as the best rule.
+    It is played only where it is named, and never counts as the best rule.
     """
     return rule.partition(":")[0] == LOOKAHEAD
 
 
 class Lookahead:
-    """Takes the actions that do best in simulations in which the base rule acts from the next step on.
+    """Takes the actions with the best simulated returns, with the base rule acting from the next step on.
 
-    Agents choose one after another: every allowed action of one is tried while those before it take their
-    choice and those behind it the base rule's action. An action is taken if its mean return over simulated
-    futures of `steps` steps is higher by more than chance; the futures are the same for all joint actions of
-    a step (common random numbers). The rule draws them itself: it knows the dynamics and the present state,
-    not what will happen.
+    Agents choose one after another: each allowed action of an agent is simulated together with the choices of
+    the agents before it and the base rule's actions of the agents behind it. An action is taken if its mean
+    return over simulated futures of `steps` steps is higher by more than chance. All joint actions of a step
+    are simulated in the same futures (common random numbers). The rule draws these futures: it knows the
+    dynamics and the present state, not what will happen.
 
     Source: rollout, Bertsekas, "Reinforcement Learning and Optimal Control" (2019), section 2.4; agent by
     agent: Bertsekas 2020, arXiv:1910.00120.
@@ -50,8 +50,8 @@ class Lookahead:
     def __init__(
         self, make: Callable[[Any, int], BatchedEnv], prepared: object, base: Rule, steps: int, samples: int
     ) -> None:
-        """`make` is that of the environment's entry; its batches are `BranchingEnv`s. `base` must not draw:
-        futures would then differ between joint actions."""
+        """`make` is that of the environment's entry; its batches are `BranchingEnv`s. `base` must not draw
+        random numbers: futures would then differ between joint actions."""
         self._make, self._prepared, self._base = make, prepared, base
         self._steps, self._samples = steps, samples
         self._batches: dict[int, BranchingEnv] = {}
@@ -131,6 +131,7 @@ class Lookahead:
 
 
 def _is_better(differences: NDArray[np.float64]) -> bool:
-    """Return whether differences of returns (S,) in the same futures are above 0 on average, by `_MARGIN`."""
+    """Return whether paired differences of returns (S,) are on average more than `_MARGIN` standard errors
+    above 0."""
     error = differences.std() / max(len(differences) - 1, 1) ** 0.5
     return bool(differences.mean() > _MARGIN * error)

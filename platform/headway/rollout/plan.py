@@ -92,9 +92,9 @@ class RolloutPlan:
     rule: Rule | None = None
     """Rule of the training environment that acts in the first iterations instead of the policy."""
     rule_iterations: int = 0
-    """Number of these iterations."""
+    """Number of first iterations in which `rule` acts."""
     stage: int = 0
-    """Stage of training, from 0. Its first episodes have seeds of its own."""
+    """Index of the training stage, from 0. The first episodes of each stage have different seeds."""
 
     @classmethod
     def of(
@@ -116,7 +116,7 @@ class RolloutPlan:
 
     @property
     def seed_purpose(self) -> str:
-        """Purpose of the seeds of the first episodes."""
+        """Purpose of the random stream of the first episodes' seeds."""
         return f"env stage {self.stage}" if self.stage else "env"
 
     @property

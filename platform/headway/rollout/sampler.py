@@ -28,7 +28,7 @@ class Episode:
 
 
 def sort_episodes(episodes: Iterable[Episode]) -> list[Episode]:
-    """Sort episodes by replica and copy; episodes of one copy keep their order, which is that of time.
+    """Sort episodes by replica and copy; the episodes of one copy stay in order of time.
 
     With a fixed order, means over episodes have the same last bits on every backend.
     """

@@ -31,7 +31,7 @@ _LINE_STYLES: tuple[Any, ...] = ("-", (0, (5, 1)), (0, (1, 1)))
 _MARKERS = ("o", "s", "^")
 """Markers of the same rounds in scatter plots."""
 FEWEST_SEEDS = 3
-"""Curves of fewer seeds have no band: with two, the 95% interval is nine times as wide as they are apart."""
+"""Minimum number of seeds for a band: with two, the 95% interval is 12.7 times as wide as they are apart."""
 _OUTLIER_FACTOR = 5.0
 """Values farther from the others than this multiple of their range do not extend an axis; the legend states
 them."""
@@ -235,8 +235,8 @@ def plot_rules(
 def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:
     """Return the rules that may extend an axis from `low` to `high`.
 
-    Rules are added in order of distance, the nearest always, until the next one is farther away than five
-    times the range so far. A rule that fails, such as random bus control, would flatten all curves.
+    The nearest rule always may. Others are added in order of distance until the next one is farther away than
+    five times the range so far. A rule that fails, such as random bus control, would flatten all curves.
     """
 
     def distance(rule: str) -> float:
@@ -508,7 +508,7 @@ def _named_lines(axes: "Axes") -> list["Line2D"]:
 
 
 def _right_end(axes: "Axes", line: "Line2D") -> tuple[float, float]:
-    """Return the last point of a line; for a horizontal one across the axes that at their right edge."""
+    """Return a line's last point; for a horizontal line across the axes, the point at their right edge."""
     across, up = np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
     known = np.flatnonzero(np.isfinite(up))
     if not len(known):
@@ -518,7 +518,8 @@ def _right_end(axes: "Axes", line: "Line2D") -> tuple[float, float]:
 
 
 def _apart(wanted: Sequence[float], heights: Sequence[float]) -> list[float]:
-    """Return the middles of labels between 0 and 1 that do not overlap, nearest to those `wanted`.
+    """Return the middles of labels, between 0 and 1 and as near as possible to `wanted`, such that none
+    overlap.
 
     `wanted` descends. Isotonic regression by pooling adjacent violators.
     """

@@ -61,9 +61,9 @@ class ParentRun:
     directory: str
     """Run folder."""
     replica: int
-    """Place of its seed in the stack that its checkpoints contain."""
+    """Index of its seed in the stack that its checkpoints contain."""
     replicas: int
-    """Seeds of that stack."""
+    """Number of seeds in that stack."""
     with_critic: bool
     """Whether its critic is taken over too."""
 
@@ -150,7 +150,7 @@ class _Training:
         self.seconds_before = 0.0
         """Wall time of earlier sessions of the run."""
         self.snapshots: list[Any] = []
-        """Episodes of the checkpoint that training resumes from, until they are continued."""
+        """Snapshots of the checkpoint that training resumes from, until their episodes are continued."""
         self.episodes_restarted = False
         self.store_s = 0.0
         if job.resume:

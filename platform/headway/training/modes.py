@@ -53,10 +53,10 @@ class SynchronousMode:
         start: StartConfig,
         iterations: int,
     ) -> None:
-        """In the first `rule_iterations`, of `iterations`, a rule acts, which a `StartingLearner` imitates.
+        """A rule acts in the first `rule_iterations` of `iterations`, and a `StartingLearner` imitates it.
 
-        If `start` says so, an `AnchoredLearner` then stays near the policies with which it started. Raises
-        ValueError if the rule leaves no iteration to learn in.
+        If `start` asks for it, an `AnchoredLearner` then stays near its first policies. Raises ValueError if
+        the rule leaves no iteration to learn in.
         """
         if rule_iterations >= iterations:
             raise ValueError(

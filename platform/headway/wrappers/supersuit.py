@@ -1,7 +1,7 @@
 """Every wrapper of SuperSuit that YAML can name, with its arguments.
 
-Without SuperSuit, whose dependency tinyscaler has no wheels for Python 3.13 and newer, the wrappers remain
-that Headway implements itself. Only resize_v1 needs tinyscaler: SuperSuit can be installed without it.
+Without SuperSuit, whose dependency tinyscaler has no wheels for Python 3.13 and newer, only the wrappers that
+Headway implements itself remain. Only resize_v1 needs tinyscaler: SuperSuit can be installed without it.
 """
 
 from collections.abc import Callable, Mapping

@@ -73,7 +73,7 @@ class Wrapped:
     """Factory of the ParallelEnv with the wrappers that are applied to it; None: all are batched and `make`
     is used."""
     options: AdapterOptions | None
-    """How the ParallelEnv is adapted; None if `parallel` is."""
+    """Adapter options of the ParallelEnv; None if `parallel` is None."""
     batched: tuple[BatchedWrapper, ...]
     """Batched wrappers, the innermost first."""
     shows_native: bool = True
@@ -99,8 +99,8 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
 
     The environment's own rules inspect the environment and its unwrapped observations while playing the
     wrapped one. Behind a wrapper that changes the meaning of actions only `random` remains, which plays the
-    wrapped environment. `lookahead` plays only without wrappers other than of rewards, which
-    are not among `wrappers` when rules play.
+    wrapped environment. `lookahead` is available only if all wrappers change rewards only; these are not
+    among `wrappers` when rules play.
     """
     rules, variant, renderer = entry.rules, entry.prepare_variant, entry.renderer
     if any(wrapper.entry.changes_actions for wrapper in wrappers):

@@ -143,7 +143,8 @@ class ProcessConnection:
 
 
 def _start(process: ForkServerProcess) -> None:
-    """Start a process, by a new fork server if the present one is dying. Raises HeadwayError otherwise."""
+    """Start a process, with a new fork server if the present one is ending. Raises HeadwayError if that
+    fails."""
     for _ in range(_START_ATTEMPTS):
         try:
             process.start()

@@ -229,9 +229,9 @@ class RayConnection:
     def __init__(self, launcher: RayLauncher, shard: int, actor: Any) -> None:  # noqa: ANN401 - Ray's handle
         self.launcher, self.shard, self.actor = launcher, shard, actor
         self.place_reference = actor.place.remote()
-        """Ray's reference to the place, ready once the worker has started."""
+        """Ray's reference to the worker's `Place`, ready once the worker has started."""
         self.place: Place | None = None
-        """None until the first answer."""
+        """The worker's place; None until its first answer."""
         self.answer_reference: Any = None
         self.lost_with_machine = False
         """The last `receive` found the worker's machine lost or unreachable."""

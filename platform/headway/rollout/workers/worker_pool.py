@@ -69,7 +69,8 @@ class WorkerLauncher(Protocol):
         ...
 
     def wait(self, waitables: Sequence[Any], timeout_s: float | None) -> list[Any]:
-        """Return the handles that are ready: at least one, or none after the timeout. None: no timeout."""
+        """Return the handles that are ready: at least one, or none after the timeout. `timeout_s` None: no
+        timeout."""
         ...
 
     def dismiss(self, links: Sequence[WorkerConnection]) -> None:
@@ -105,7 +106,7 @@ class _Worker:
     sent_at: float = 0.0
     """Time of sending it, s (`time.monotonic`)."""
     is_noticed: bool = False
-    """The user has been told that its answer is late, although its limit is far or unknown."""
+    """The user has been told that its answer is late: its time limit is far off or unknown."""
 
     def send(self, command: Command) -> None:
         """Send a command."""
@@ -187,7 +188,8 @@ class WorkerPool:
                 return sorted(found)
 
     def _is_overdue(self, shard: int) -> bool:
-        """Return whether a worker has taken too long; notify if it is late and its limit is far."""
+        """Return whether a worker has exceeded its limit; notify the user of a late worker with a distant
+        limit."""
         worker = self.workers[shard]
         if worker.command is None:
             return False
@@ -217,7 +219,7 @@ class WorkerPool:
         return type(worker.command) not in self.timeouts or not (worker.has_answered or worker.failures)
 
     def _is_notice_due(self, worker: _Worker) -> bool:
-        """Return whether the user is to be told if a worker is late, since its limit is far or unknown."""
+        """Return whether the user is told if a worker is late, because its limit is far off or unknown."""
         return not worker.is_noticed and (
             self._limit_s(worker) == inf or (self._makes_environments(worker) and worker.command is not None)
         )
@@ -229,7 +231,7 @@ class WorkerPool:
         return limit - worker.waited_s
 
     def _doing(self, command: Command) -> str:
-        """Return what a worker does, for notices."""
+        """Return a description of what a worker does, for notices."""
         match command:
             case Begin():
                 return f"starting episodes of {self.environment}"
@@ -264,7 +266,7 @@ class WorkerPool:
     def answer(self, shard: int, command: Command) -> Done:
         """Wait for the answer to a command that was sent; replace the worker if it fails.
 
-        Raises HeadwayError for an error of the user's, WorkerFailedError if the replacement fails too.
+        Raises HeadwayError for a user error, and WorkerFailedError if the replacement fails too.
         """
         while (done := self.receive(shard, command)) is None:
             pass
