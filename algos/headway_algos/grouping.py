@@ -64,7 +64,7 @@ class Grouping:
 
     @cached_property
     def _policy_of_agent(self) -> NDArray[np.int64]:
-        """(N,)"""
+        """(N,): policy of each agent."""
         return self._slot_of_agent // self.width
 
     def policies(self, copies: int, replicas: int) -> NDArray[np.int64]:

@@ -16,7 +16,8 @@ OBSOLETE_KEYS: Mapping[str, Any] = MappingProxyType(
         "kfac_length": "exact", "kfac_momentum": 0.0, "critic_kl_bound": 0.3,
     }
 )  # fmt: skip
-"""Keys that only some algorithms have now, and their defaults at that time."""
+"""Keys that all on-policy algorithms had in earlier versions and only some have now, with their defaults
+then."""
 
 
 def without_effect(kept: Mapping[str, Any], record: type[AlgoConfig]) -> dict[str, Any]:

@@ -104,7 +104,7 @@ def _choice(recipe: Recipe, kind: str, used: str) -> tuple[Any, Any]:
 
 
 def _related(recipe: Recipe, kind: str) -> str:
-    """Return a line that names the algorithms with another component of this kind and otherwise the same."""
+    """Return a line that names the algorithms that differ only in their component of this kind."""
     kinds = ("critic", "update", "order")
     related = [
         f"for {getattr(each, kind)}: algo={each.name}"

@@ -133,6 +133,6 @@ ENTRIES = {
 def configure(name: str, **settings: Any) -> Any:  # noqa: ANN401 - any record
     """Return an algorithm's configuration record with these hyper-parameters.
 
-    Raises TypeError for one that the algorithm does not have, ValueError for an impossible value.
+    Raises TypeError for one that the algorithm does not have, ValueError for an invalid value.
     """
     return ENTRIES[name].record_for(settings)(**settings)

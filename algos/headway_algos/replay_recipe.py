@@ -1,4 +1,4 @@
-"""What defines an off-policy algorithm. Imports no torch."""
+"""Definition of an off-policy algorithm by a record. Imports no torch."""
 
 from dataclasses import dataclass
 

@@ -38,7 +38,7 @@ class ExploringPolicy:
     def parameter_shapes(self, replicas: int) -> Shapes:
         """Return the shapes of the networks' parameters and of `exploration` (P, 1, 1).
 
-        It is epsilon, or the scale of the noise.
+        `exploration` is epsilon, or the scale of the noise.
         """
         shapes = self.perceptron.parameter_shapes(replicas)
         shapes.pop("log_std", None)

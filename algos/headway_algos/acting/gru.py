@@ -17,8 +17,8 @@ def gated_step(
 ) -> NDArray[Any]:
     """Return the next hidden states (..., M).
 
-    `from_input` is W x + b and `from_hidden` U h, (..., 3 M), `bias` b_h (..., M), of the equations in
-    `headway_algos.networks.gru`.
+    In the notation of `headway_algos.networks.gru`, `from_input` is W x + b and `from_hidden` is U h, (..., 3
+    M) each, and `bias` is b_h (..., M).
     """
     size = hidden_states.shape[-1]
     # The logistic function by tanh, which does not overflow.

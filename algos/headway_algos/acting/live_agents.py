@@ -22,10 +22,10 @@ def evaluate_live(
 ) -> NDArray[Any]:
     """Return the outputs (C, N, A) of stacked perceptrons for inputs (C, N, D).
 
-    They are 0 for agents not `alive` (C, N). `layers` are weights (P, outs, ins) and biases (P, outs, 1); all
-    but the last are followed by `activation`. `normaliser`: mean and scale (P, 1, D) of the inputs, and the
-    bound at which they are then clipped. A result does not depend on the other agents, copies and replicas,
-    to the last bit.
+    Outputs are 0 for agents not `alive` (C, N). `layers` are weights (P, outs, ins) and biases (P, outs, 1);
+    all but the last are followed by `activation`. `normaliser`: mean and scale (P, 1, D) of the inputs, and
+    the bound to which normalised inputs are clipped. A result has the same bits whatever the other agents,
+    copies and replicas are.
     """
     copies, agents, size = inputs.shape
     weights, biases = zip(*layers, strict=True)

@@ -66,7 +66,7 @@ def zero_where_absent(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArr
 def mean_per_replica(values: Tensor, replicas: int) -> NDArray[np.float64]:
     """Return the mean over each replica's networks, (R,), of values (P,).
 
-    NaN, of networks that took no step, is left out; the mean is NaN if there is nothing else.
+    NaN values, of networks that took no step, are left out; the mean is NaN if all values are.
     """
     table = values.double().cpu().numpy().reshape(replicas, -1)
     known = ~np.isnan(table)

@@ -10,7 +10,8 @@ from torch import Tensor
 def map_tensors(function: Callable[..., Tensor], *states: Any) -> Any:  # noqa: ANN401 - nested plain values
     """Return the first state with each tensor replaced by `function` of it and its counterparts.
 
-    These are the tensors at the same place of the other states. Everything else is that of the first state.
+    Counterparts are the tensors at the same place in the other states. All other values are those of the
+    first state.
     """
     first = states[0]
     if isinstance(first, Tensor):
@@ -23,7 +24,7 @@ def map_tensors(function: Callable[..., Tensor], *states: Any) -> Any:  # noqa: 
 
 
 def replica_state(state: Any, replica: int, replicas: int, copies: int) -> Any:  # noqa: ANN401 - as above
-    """Return the state of one of `replicas` replicas, repeated for `copies` of them."""
+    """Return the state of replica `replica` out of `replicas`, repeated for `copies` replicas."""
 
     def repeated(tensor: Tensor) -> Tensor:
         own = torch.tensor_split(tensor, replicas)[replica]
@@ -40,6 +41,6 @@ def same_shapes(one: object, other: object) -> bool:
 
 
 def trained_state(state: dict[str, Any]) -> dict[str, Any]:
-    """Return the state of the learner inside a `SplitLearner`'s, or the state itself of any other."""
+    """Return the state of a learner; for a `SplitLearner`, that of the learner inside it."""
     inner: dict[str, Any] = state["learner"] if "parted" in state else state
     return inner

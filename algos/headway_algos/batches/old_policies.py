@@ -1,4 +1,4 @@
-"""Earlier policies, to which a penalty ties those that are trained."""
+"""Earlier policies that a KL penalty keeps the trained policies near."""
 
 from typing import NamedTuple, Self
 
@@ -12,9 +12,10 @@ from headway_algos.networks.distributions import Distribution
 
 
 class OldPolicies(NamedTuple):
-    """Earlier policies in the states of a batch, and how strongly a penalty ties the new ones to them.
+    """Earlier policies at the states of a batch, with the coefficients of the penalty that keeps new ones
+    near them.
 
-    They are those that acted, or those with which training started.
+    They are the policies that acted, or those with which training started.
     """
 
     outputs: Tensor
@@ -22,7 +23,7 @@ class OldPolicies(NamedTuple):
     log_std: Tensor | None
     """(P, A, 1) of Gaussian policies."""
     coefficients: Tensor
-    """(P,)"""
+    """(P,): coefficients of the penalty."""
 
     @classmethod
     def of(
@@ -38,7 +39,7 @@ class OldPolicies(NamedTuple):
         return cls(outputs_of(actor, observations, sequences, piece_samples), log_std, coefficients)
 
     def narrow(self, policies: Tensor) -> Self:
-        """Return those of `policies` (n,)."""
+        """Return the part that belongs to `policies` (n,)."""
         log_std = None if self.log_std is None else self.log_std[policies]
         return type(self)(self.outputs[policies], log_std, self.coefficients[policies])
 

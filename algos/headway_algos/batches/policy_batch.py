@@ -28,7 +28,7 @@ class PolicyBatch:
     sequences: Sequences | None = None
     """Order of the rows in time, for recurrent policies."""
     start: OldPolicies | None = None
-    """Policies with which training started, if a penalty ties the new ones to them."""
+    """Policies with which training started, if a penalty keeps the new ones near them."""
 
     def narrow(self, policies: Tensor) -> Self:
         """Return the rows of `policies` (n,)."""

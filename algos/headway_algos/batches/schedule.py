@@ -1,4 +1,4 @@
-"""The minibatches over which networks are trained for an iteration."""
+"""Minibatches on which networks are trained in one iteration."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,14 +23,14 @@ class MinibatchSchedule:
     selected: NDArray[np.bool_]
     """(P, B): rows to train on."""
     sequences: Sequences | None
-    """None: not recurrent."""
+    """Order of the rows in time, for recurrent networks; else None."""
     generators: Sequence[np.random.Generator]
-    """One per network."""
+    """Generators for shuffling, one per network."""
     epochs: int
     minibatches: int
     """Minibatches per epoch."""
     piece_samples: int
-    """Most samples, over all networks, in a piece."""
+    """Maximum number of samples in a piece, over all networks."""
     layout: Layout
 
     def row_indices(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:

@@ -4,7 +4,7 @@ A sequence starts from the hidden state recorded before its first step. That sta
 and later stale by the updates of this iteration only; the stored states of R2D2 (Kapturowski et al. 2019,
 "Recurrent Experience Replay in Distributed Reinforcement Learning", section 3) come from a replay buffer and
 are far staler. Gradients stop at a sequence's first step (truncated backpropagation through time). Hidden
-states are reset where a stream begins within it.
+states are reset where a stream begins within a sequence.
 """
 
 from collections.abc import Callable, Iterator, Sequence

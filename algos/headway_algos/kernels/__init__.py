@@ -1,7 +1,7 @@
 """Compiled training steps on a CPU, and the forward pass that workers act with; without torch.
 
 For small matrices torch's call overhead exceeds the arithmetic, and on some processors its matrix products
-are slower than these at any size.
+are slower than these kernels' at any size.
 """
 
 import math

@@ -20,7 +20,7 @@ class Adam(NamedTuple):
     """(P,): steps so far."""
     lr: float
     bound: float
-    """Gradients are shortened to at most this norm; infinity: not at all."""
+    """Norm to which longer gradients are clipped; infinity: no clipping."""
     decays: tuple[float, float]
     epsilon: float
 

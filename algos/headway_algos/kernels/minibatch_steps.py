@@ -35,7 +35,8 @@ _LEAST, _MOST = np.float32(-87), np.float32(88)
 
 
 def _exp_by_parts(row: Floats, bits: NDArray[np.int32], powers: Floats, n: int) -> None:
-    """Replace x by exp(x), 0 below -87 and exp(88) above; `powers` (ROWS,) are the same memory as `bits`."""
+    """Replace x by exp(x): by 0 if x < -87, by exp(88) if x > 88. `powers` (ROWS,) shares its memory with
+    `bits`."""
     for t in range(n):
         x = row[t]
         below = x < _LEAST
@@ -117,7 +118,7 @@ class Targets(NamedTuple):
 
 
 _LOG_RATIO, _ADVANTAGE, _RATIO, _SCALE, _ENTROPY = range(5)
-"""What the rows of `Perceptrons.scratch` hold while a network is trained."""
+"""Rows of `Perceptrons.scratch`, by the quantity that each holds while a policy is trained."""
 
 
 @compiled

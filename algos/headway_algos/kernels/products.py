@@ -18,7 +18,7 @@ TILE = 3 * LANES
 # multiplied take the 16 registers of AVX2. LLVM does not find such loops by itself, so they are given in its
 # own language.
 Untyped = Any
-"""Something of numba or llvmlite, which have no types for mypy."""
+"""Object of numba or llvmlite, which have no types for mypy."""
 _Vector = ir.VectorType(ir.FloatType(), LANES)
 
 
@@ -146,7 +146,7 @@ _outer_4x3, _outer_4x1 = _outer_tile(3), _outer_tile(1)
 def multiply(
     w: Floats, start: int, step_out: int, step_in: int, outs: int, ins: int, x: Floats, y: Floats, n: int
 ) -> None:
-    """y[o, t] = sum_i w[start + o step_out + i step_in] x[i, t], for t < n."""
+    """Compute y[o, t] = sum_i w[start + o step_out + i step_in] x[i, t], for t < n."""
     for t in range(0, n, TILE):
         multiply_tile(w, start, step_out, step_in, outs, ins, x, y, t, n)
 
@@ -164,7 +164,7 @@ def multiply_tile(
     t: int,
     n: int,
 ) -> None:
-    """Do what `multiply` does for the next TILE columns from t on, at most to n."""
+    """Compute the part of `multiply` in the TILE columns from t on, or in those up to n."""
     whole_outs, vectors = outs - outs % 4, (n - t) // LANES
     for o in range(0, whole_outs, 4):
         at = (start + o * step_out, step_out, step_in, ins, o, t)
@@ -186,7 +186,7 @@ def multiply_tile(
 
 @compiled
 def add_outer(x: Floats, g: Floats, ins: int, outs: int, w: Floats, start: int, n: int) -> None:
-    """w[start + o ins + i] += sum_t g[o, t] x[i, t], for t < n."""
+    """Compute w[start + o ins + i] += sum_t g[o, t] x[i, t], for t < n."""
     whole_ins, whole_outs, vectors = ins - ins % 4, outs - outs % 3, n // LANES
     for i in range(0, whole_ins, 4):
         for o in range(0, whole_outs, 3):

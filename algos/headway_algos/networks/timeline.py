@@ -23,7 +23,7 @@ class Timeline:
         return cls(hidden.transpose(1, 2))
 
     def part(self, sequences: slice, policies: slice | Tensor) -> Self:
-        """Return the timeline of some sequences of some networks."""
+        """Return the timeline of the given sequences and networks."""
         count = self.hidden.shape[2]
 
         def cut(rows: Tensor | None) -> Tensor | None:

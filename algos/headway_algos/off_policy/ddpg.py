@@ -49,7 +49,7 @@ class DeterministicPolicyGradient(Method):
         self.middle, half = (low + high) / 2, (high - low) / 2
         self.half = torch.where(half > 0, half, 1)
         self.free = (half > 0).to(dtype)
-        """(A,): 0 in dimensions without a choice, else 1."""
+        """(A,): 0 for action components with equal bounds, else 1."""
         size, form = spec.observation_size, model.activation
         self.network = StackedMLP(
             seeds, policies, "actor", (size, model.hidden, box.size), form, ACTOR_GAIN, dtype

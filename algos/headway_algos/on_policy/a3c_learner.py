@@ -82,7 +82,7 @@ def _return_large_blocks() -> None:
 
 
 class A2CContributor:
-    """A `headway.contracts.Contributor` of gradients, not yet clipped, and of its batch's statistics.
+    """A `headway.contracts.Contributor` of unclipped gradients and of the batch's running statistics.
 
     It updates a local copy of the learner, which the next published parameters replace.
     """

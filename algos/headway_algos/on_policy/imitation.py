@@ -19,9 +19,9 @@ from headway_algos.on_policy.updates.losses import A2CLoss
 LR = 3e-3
 """Adam's learning rate at the start of the imitation."""
 EPOCHS, MINIBATCHES = 20, 100
-"""Passes over the decisions of all iterations, in so many minibatches each."""
+"""Passes over the decisions of all iterations, and minibatches per pass."""
 SEQUENCE_EPOCHS, SEQUENCE_MINIBATCHES = 16, 8
-"""Passes of recurrent policies over the sequences of each iteration."""
+"""Passes of recurrent policies over the sequences of each iteration, and minibatches per pass."""
 ENTROPY_COEFF = 0.3
 """Weight of the entropy, without which a policy that imitates a deterministic rule no longer explores: with
 two actions the probability of the rule's tends to 0.97 instead of 1."""
@@ -58,9 +58,9 @@ def imitate_sequences(
 ) -> dict[str, Tensor]:
     """Raise the likelihood of recurrent policies' actions in one iteration's rows, taken as sequences.
 
-    Adam starts anew with every call, so that nothing is carried from one call to the next but the networks.
-    `share`, of the learning rate, should fall from call to call: an iteration may show one part of an episode
-    only, which the next would overwrite.
+    Adam starts anew with every call; only the networks are carried from one call to the next. `share`, a
+    factor on the learning rate, should fall from call to call: an iteration may contain only one part of an
+    episode, and later iterations would overwrite what was learned from it.
     """
     learned, update = _update(actor, config, layout, SEQUENCE_EPOCHS, SEQUENCE_MINIBATCHES)
     update.anneal(share)
@@ -74,7 +74,7 @@ def _update(
 ) -> tuple[Actor, GradientUpdate]:
     """Return a copy of the actor and the update that trains it.
 
-    A copy, since the update that learns afterwards has the actor's parameters in its own optimiser.
+    The actor itself is not trained because its parameters belong to the optimiser of the learner's update.
     """
     policies = layout.replicas * layout.grouping.num_policies
     learned = actor.narrow(torch.arange(policies, device=layout.device))
@@ -92,9 +92,10 @@ def _take_over(actor: Actor, learned: Actor) -> None:
 
 
 def decisions(rows: PolicyBatch, nvec: Sequence[int]) -> PolicyBatch:
-    """Return rows of which only those are selected from which a policy can learn the rule's choice.
+    """Return the rows with only those decisions selected that show the rule's preference.
 
-    The mask allows the action, since a rule may choose what the environment overrides, and another one too.
+    The action mask must allow the rule's action (the environment overrides forbidden ones) and at least one
+    other.
     """
     if rows.masks is None:
         return rows
@@ -105,7 +106,8 @@ def decisions(rows: PolicyBatch, nvec: Sequence[int]) -> PolicyBatch:
 
 
 def _allowed(rows: PolicyBatch, nvec: Sequence[int]) -> NDArray[np.bool_]:
-    """Return where the mask allows the action, (P, B): a rule may choose what the environment overrides."""
+    """Return where the action mask allows the rule's action, (P, B); the environment overrides forbidden
+    ones."""
     if rows.masks is None:
         return np.ones_like(rows.selected)
     options = rows.actions[..., None]

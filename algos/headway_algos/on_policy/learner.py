@@ -35,7 +35,7 @@ from headway_algos.on_policy.updates import Update
 _NETWORKS = ("networks", "target")
 """Parts of a critic's state that another run can start from: networks with their normalisers."""
 GPU_PIECE_SAMPLES = 2**20
-"""Least samples per piece on a GPU, which pieces that fit a processor's cache leave idle."""
+"""Minimum number of samples per piece on a GPU, which pieces sized for a processor's cache leave idle."""
 
 Order = Callable[
     [Update, Grouping, PolicyBatch, Tensor, Sequence[np.random.Generator], Sequence[np.random.Generator]],
@@ -81,7 +81,7 @@ class OnPolicyLearner(PolicyStack):
     ) -> None:
         """`step_scale`: factor on the learning rates; KL bounds are multiplied by its square.
 
-        `unit`: what `update` counts, for error lines.
+        `unit`: what the numbers passed to `update` count, for error messages.
         """
         if resolve_device(device).type == "cuda":
             config = replace(config, piece_samples=max(config.piece_samples, GPU_PIECE_SAMPLES))
@@ -98,7 +98,7 @@ class OnPolicyLearner(PolicyStack):
         self.behaviour = BehaviourPolicy(config, self.actor, acting, self.layout)
         self.rule_decisions = RuleDecisions(len(seeds), policies)
         self.start_actor: Actor | None = None
-        """Policies with which training started, while a penalty ties the new ones to them."""
+        """Policies with which training started, while a penalty keeps the new ones near them."""
         self.kl_coeff, self.critic_only = 0.0, False
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
@@ -136,7 +136,8 @@ class OnPolicyLearner(PolicyStack):
     ) -> dict[str, NDArray[np.float64]]:
         """Train the critic on the rule's returns; let the policies learn its decisions.
 
-        Recurrent policies learn from each iteration, all others from a sample of all, in the last one.
+        Recurrent policies learn in each iteration from its rows; others learn in the last one, from a sample
+        of all iterations.
         """
         trajectory = self._drop_unused_slots(trajectory_with_ids(trajectory, self.agent_ids))
         self.critic.anneal(self.step_scale)
@@ -182,7 +183,7 @@ class OnPolicyLearner(PolicyStack):
         return trajectory.of_first_agents(int(used.max(initial=0)) + 1 + spare)
 
     def _observations(self, trajectory: Trajectory, actor: Actor) -> Tensor:
-        """Return the observations (P, B, D) as an actor normalises them."""
+        """Return observations (P, B, D), normalised as by the actor."""
         alive = trajectory.alive[:-1]
         observations = self.layout.rows(trajectory.observations[:-1], alive)
         if self.config.normalise_observations:
@@ -262,7 +263,7 @@ class OnPolicyLearner(PolicyStack):
         return {"rule_decisions": kept} if any(kept) else None
 
     def load_replay_state(self, state: dict[str, Any]) -> None:
-        """Go on with the result of `replay_state`."""
+        """Continue from the result of `replay_state`."""
         self.rule_decisions.load_state(state["rule_decisions"])
 
     def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
@@ -280,7 +281,7 @@ class OnPolicyLearner(PolicyStack):
         return []
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the states of policies, critic and update, and the policies that a penalty ties them to."""
+        """Return the states of policies, critic and update, and the start policies if a penalty uses them."""
         return {
             "actor": self.actor.state_dict(),
             "critic": self.critic.state_dict(),

@@ -68,7 +68,7 @@ class PerSeedLearner:
         return {"learners": states} if any(states) else None
 
     def load_replay_state(self, state: dict[str, Any]) -> None:
-        """Go on with the result of `replay_state`."""
+        """Continue from the result of `replay_state`."""
         for learner, own in zip(self.learners, state["learners"], strict=True):
             assert isinstance(learner, LearnerWithReplay)
             learner.load_replay_state(own)

@@ -12,14 +12,15 @@ from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.networks.normalisation import RunningStatistics
 
 CAPACITY, LEAST = 200_000, 5_000
-"""Most decisions that are kept for the policies of a seed together, in equal parts of at least `LEAST`."""
+"""Maximum number of decisions kept per seed, divided equally among its policies, and the minimum per
+policy."""
 
 
 class RuleDecisions:
-    """A sample of a rule's decisions for each of P = R x K policies.
+    """A uniform sample of a rule's decisions for each of P = R x K policies.
 
-    The last ones alone would show one part of an episode too often: every decision is kept with the same
-    probability, by random keys of which the smallest stay.
+    The latest decisions alone would over-represent one part of an episode. Therefore each decision gets a
+    random key, and the decisions with the smallest keys are kept.
     """
 
     def __init__(self, replicas: int, policies: int) -> None:
@@ -44,7 +45,8 @@ class RuleDecisions:
             self.kept[place] = both
 
     def rows(self, moments: RunningStatistics | None, device: torch.device) -> PolicyBatch:
-        """Return the decisions, padded to the longest policy's; `moments` normalise the observations."""
+        """Return the decisions, padded to the largest number of any policy; `moments` normalise the
+        observations."""
         counts = np.array([len(kept["keys"]) for kept in self.kept])
         longest = max(counts.max(), 1)
 
@@ -67,9 +69,9 @@ class RuleDecisions:
         return PolicyBatch(observations, masks, actions, log_probs, selected)
 
     def state(self) -> list[dict[str, Tensor]]:
-        """Return what `load_state` takes."""
+        """Return the state for `load_state`."""
         return self.kept
 
     def load_state(self, state: Sequence[dict[str, Any]]) -> None:
-        """Go on with the decisions that `state` returned."""
+        """Continue from the result of `state`."""
         self.kept = [dict(kept) for kept in state]

@@ -56,7 +56,7 @@ class SplitLearner:
         return self.separate.update(trajectory, iteration, progress)
 
     def anchor(self, kl_coeff: float, critic_only: bool) -> None:
-        """Anchor both learners: at the split the separate one takes over the shared policy's start too."""
+        """Anchor both learners: the separate policies take over the shared policy's start at the split."""
         for learner in (self.shared, self.separate):
             learner.anchor(kl_coeff, critic_only)
 
@@ -71,11 +71,12 @@ class SplitLearner:
         return self.shared.replay_state()
 
     def load_replay_state(self, state: dict[str, Any]) -> None:
-        """Go on with the result of `replay_state`."""
+        """Continue from the result of `replay_state`."""
         self.shared.load_replay_state(state)
 
     def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
-        """Raise HeadwayError: another run's separate policies are no shared one."""
+        """Raise HeadwayError: training begins with a shared policy, which another run's policies cannot
+        replace."""
         raise HeadwayError("algo.shared_until begins with a shared policy, not with those of start.run")
 
     def state_dict(self) -> dict[str, Any]:

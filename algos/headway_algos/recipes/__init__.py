@@ -44,7 +44,7 @@ class Recipe:
     learner: Callable[[Any, EnvSpec, Sequence[int], str], Learner] = LEARNER
     """Constructor of the learner: see `headway.contracts.AlgoEntry.learner`."""
     contributor: Callable[[Any, EnvSpec, Sequence[int]], Contributor] | None = None
-    """Constructor of a worker's part, for asynchronous algorithms: see `AlgoEntry.contributor`."""
+    """Constructor of a worker's contributor, for asynchronous algorithms: see `AlgoEntry.contributor`."""
     preload: tuple[str, ...] = ()
     """Modules imported once for all processes that run contributors."""
 

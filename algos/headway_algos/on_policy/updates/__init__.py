@@ -30,9 +30,9 @@ class Update(Protocol):
     ) -> dict[str, Tensor]:
         """Update the policies; return metrics, each (P,), NaN for policies without a selected row.
 
-        `advantages` (P, B) are standardised by the caller, if at all. `generators` (P,) are for shuffling and
-        sampling. Recurrent policies need `rows.sequences`. Policies without a selected row, and their state,
-        stay unchanged.
+        `advantages` (P, B) are used as given: the caller standardises them if configured. `generators` (P,)
+        are for shuffling and sampling. Recurrent policies need `rows.sequences`. Policies without a selected
+        row, and their state, stay unchanged.
         """
         ...
 

@@ -32,7 +32,7 @@ from headway_algos.optim.gradient_steps import autograd_steps
 class GradientUpdate:
     """Minimises the mean of a `PolicyLoss` and of KL penalties, if any, by Adam over minibatches.
 
-    The penalties are PPO's own, `penalty`, and that on the distance from `rows.start`.
+    There are two KL penalties: PPO's adaptive one, `penalty`, and one that keeps policies near `rows.start`.
     """
 
     def __init__(

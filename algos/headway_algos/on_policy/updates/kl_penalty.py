@@ -21,7 +21,7 @@ class KLPenalty:
     """Adds coefficient x KL(pi_old || pi) to a policy loss, and adapts the coefficient after each update."""
 
     coefficients: Tensor
-    """(P,)"""
+    """(P,): current coefficient of each policy."""
     target: float
     """Mean KL divergence per update that the adaptation aims at."""
     piece_samples: int

@@ -88,8 +88,8 @@ class PPOLoss:
     """Proximal policy optimisation: the clipped surrogate with an entropy bonus.
 
     With r = pi(u|o) / pi_old(u|o): -min(r A, clip(r, 1 - clip, 1 + clip) A) - entropy_coeff H(pi(.|o))
-    (Schulman et al. 2017, arXiv:1707.06347). On a CPU `kernels.minibatch_steps`
-    computes the same gradients: change it too.
+    (Schulman et al. 2017, arXiv:1707.06347). On a CPU, `kernels.minibatch_steps` computes the same gradients;
+    a change here needs one there.
     """
 
     clip: float
@@ -117,8 +117,8 @@ class PPOLoss:
 class A2CLoss:
     """Advantage actor-critic: the policy gradient with an entropy bonus, -log pi(u|o) A - entropy_coeff H.
 
-    Source: Mnih et al. 2016, arXiv:1602.01783, section 4. On a CPU
-    `kernels.minibatch_steps` computes the same gradients: change it too.
+    Source: Mnih et al. 2016, arXiv:1602.01783, section 4. On a CPU, `kernels.minibatch_steps` computes the
+    same gradients; a change here needs one there.
     """
 
     entropy_coeff: float

@@ -37,7 +37,7 @@ def compiled_policy_steps(
 ) -> Steps | None:
     """Return the steps that minimise a loss by compiled kernels, or None to take them by autograd.
 
-    `tied`: policies to which penalties tie the new ones.
+    `tied`: earlier policies that KL penalties keep the new ones near.
     """
     networks = kernel_networks(actor.network, optimiser)
     # The kernels have one categorical per row, not several, and one penalty.

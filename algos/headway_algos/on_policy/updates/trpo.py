@@ -132,7 +132,8 @@ class TRPO:
     def _compare(self, after: Actor, log_std: Tensor | None, batch: WholeBatch) -> tuple[Tensor, Tensor]:
         """Return the surrogate of `after`, and its mean KL divergence from the policies before, (P,) each.
 
-        These have the batch's outputs and, with Box actions, log standard deviations `log_std` (P, A, 1).
+        The policies before have the batch's outputs and, with Box actions, log standard deviations `log_std`
+        (P, A, 1).
         """
         surrogate, kl = batch.weight.new_zeros(len(batch.weight)), batch.weight.new_zeros(len(batch.weight))
         for piece in batch.pieces(self.config.piece_samples):
@@ -155,7 +156,7 @@ class TRPO:
         return part
 
     def adopt(self, policies: Tensor, part: Self) -> None:
-        """Copy `policies` (n,) from `part`."""
+        """Copy the parameters of `policies` (n,) from `part`, a result of `narrow`."""
         self.actor.adopt(policies, part.actor)
 
     def state_dict(self) -> dict[str, Any]:
