@@ -49,8 +49,8 @@ def sweep(
 
         runs = sweep("experiment=bus_mappo", algo=["ippo", "mappo"], seed=range(10))
 
-    A list in `keys` holds several values, of which each makes a cell, as `choice(...)` in a word does; runs
-    that had finished before are among those returned. `fresh`: as `--fresh`. The rest is as for `run`.
+    Each value of a list in `keys` makes a cell, like `choice(...)` in a word. Runs that had finished before
+    are returned too. `fresh`: as `--fresh`. The rest is as for `run`.
     """
     from headway_launch.experiments.override_words import override_words
     from headway_launch.experiments.sweep import compose_sweep

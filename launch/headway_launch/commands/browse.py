@@ -25,7 +25,7 @@ ssh -L 5000:127.0.0.1:5000 MACHINE, and open the printed address there.
 
 _HOST = "127.0.0.1"
 _FIRST_UPDATE_S = 3.0
-"""How long to wait for MLflow's database to be up to date; that of a large study takes longer."""
+"""Seconds to wait for MLflow's database to be brought up to date; that of a large study takes longer."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

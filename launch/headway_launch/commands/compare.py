@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from headway_launch.runner.stored_run import StoredRun
 
 _MAX_DIFFERENCES = 3
-"""Most differences between environments that an error names."""
+"""Maximum number of differences between environments that an error lists."""
 
 EXAMPLES = """\
 examples:

@@ -22,7 +22,7 @@ class CompletionParser(argparse.ArgumentParser):
     """Parser of unfinished command lines, in which options may stand between overrides."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:  # noqa: ANN401 - as argparse's
-        """Parse all words but overrides: after an option, argparse would take no more of them."""
+        """Parse all words except overrides, which argparse does not accept after an option."""
         return super().parse_known_args([word for word in args if not _is_override(word)], namespace)
 
 

@@ -1,4 +1,4 @@
-"""`headway export`: write a trained policy to a file that is used without the platform."""
+"""`headway export`: write a trained policy to a file that can be used without the platform."""
 
 import argparse
 import tempfile
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Write the policy, compared with the rollout worker's, and print the path of the file."""
+    """Write the policy once it agrees with the rollout worker's, and print the path of the file."""
     from headway.policies.files import FORMATS, policy_bytes
     from headway.policies.trained_run import TrainedRun
     from headway.store.atomic_files import write_durably
@@ -107,7 +107,7 @@ def _compared(content: bytes, suffix: str, trained: "TrainedRun", environment: "
 
 
 def _environment(run: "StoredRun", spec: "EnvSpec") -> "tuple[PreparedEnv | None, str]":
-    """Return the run's environment, or None and the reason why observations cannot be had from it.
+    """Return the run's environment, or None and the reason why it cannot provide observations.
 
     `spec`: specification of the environment that the policy was trained on.
     """

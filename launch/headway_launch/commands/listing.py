@@ -133,7 +133,7 @@ def _list_wrappers(name: str | None) -> None:
 
 
 def _require_env(name: str) -> str:
-    """Return `name`. Raises HeadwayError if it is neither an environment nor leads to one's code."""
+    """Return `name`. Raises HeadwayError if it neither names an environment nor locates the code of one."""
     if is_external(name) or name in _names(None):
         return name
     raise HeadwayError(f"unknown environment {name!r}; {suggestion(name, _names(None))}")
@@ -227,7 +227,7 @@ def _list_observations(name: str | None, *overrides: str) -> None:
 
 
 def _list_keys(word: str | None) -> None:
-    """Print every key, or those whose name, or else whose description, contains `word`.
+    """Print every key, or those with `word` in their name or, if there are none, in their description.
 
     Keys of `algo` and `env.args` appear once per default and description, with the algorithms or environments
     that have them.

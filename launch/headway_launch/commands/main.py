@@ -89,7 +89,8 @@ class _Parser(argparse.ArgumentParser):
         raise HeadwayError(f"{message}; see {self.prog} --help")
 
     def _store_option(self, message: str) -> str:
-        """Return the command's own form of the store's folder if a message is about the other form."""
+        """Return the store option that this command takes, if an error is about the other form; else an empty
+        string."""
         if "store.root=" in message and self.get_default("store") is not None:
             return "--store FOLDER"
         trains = self.get_default("dry_run") is not None
@@ -106,7 +107,7 @@ def main() -> None:
 def run(arguments: Sequence[str], typed: bool = False) -> int:
     """Run one command line; return the exit code: 0 done, 2 error (one line on stderr), 130 interrupted.
 
-    `typed`: it was given by a user, who is told of keys that a later word replaces.
+    `typed`: a user typed the line, and gets a notice of keys that a later word replaces.
     """
     words = [word for word in arguments if word != "--debug"]
     debug = len(words) < len(arguments)

@@ -76,7 +76,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _statistic(means: "pd.DataFrame") -> str:
-    """Name the plotted statistic: cells with few runs have no interval."""
+    """Name the plotted statistic, which is without an interval for cells with few runs."""
     from headway.stats.plots import FEWEST_SEEDS
 
     runs = means["runs"]

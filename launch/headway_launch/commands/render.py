@@ -259,7 +259,7 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
 def _picture_at(frames: "Iterator[Frame]", step: int | None) -> "Frame":
     """Return the picture after `step` steps, or the last one.
 
-    Earlier ones are rendered too, because a renderer may show recent events. Raises HeadwayError if the
+    Earlier pictures are rendered too, because a renderer may show recent events. Raises HeadwayError if the
     episode ends before.
     """
     last, played = next(frames), 0

@@ -27,9 +27,9 @@ def write_figure(figure: "Figure", output: Path) -> None:
 
 
 def require_writable(option: str, path: Path, folder: Path) -> None:
-    """Raise HeadwayError if the file of `option` cannot be written. Called before any work, so none is lost.
+    """Raise HeadwayError if the file of `option` cannot be written; called first, so that no work is lost.
 
-    `folder` must exist and be writable: that of the file, or one in which its folder will be created.
+    `folder` must exist and be writable: the file's folder, or the folder in which that will be created.
     """
     try:
         with tempfile.TemporaryFile(dir=folder):

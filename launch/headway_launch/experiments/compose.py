@@ -244,7 +244,8 @@ def compose(overrides: Sequence[str]) -> Experiment:
 
 
 def _with_parent_named(experiment: Experiment) -> Experiment:
-    """Return the experiment with the whole name of the run `start.run`, which identifies cells."""
+    """Return the experiment with the full name of the run `start.run`, since that name is part of a cell's
+    identity."""
     config = experiment.config
     if config.start.run is None:
         return experiment

@@ -11,9 +11,9 @@ _PREFIX = "env.args."
 
 
 def with_env_args(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
-    """Return a stored configuration with other environment arguments, and the changes in words.
+    """Return a stored configuration with changed environment arguments, and a description of the changes.
 
-    `overrides`: `env.args.KEY=VALUE` in Hydra's grammar. Raises HeadwayError for other keys: they concern
+    `overrides`: `env.args.KEY=VALUE` in Hydra's grammar. Raises HeadwayError for other keys, which concern
     training only.
     """
     from hydra.core.override_parser.overrides_parser import OverridesParser

@@ -14,7 +14,7 @@ from headway_launch.experiments.options import options
 
 _GROUP = "experiment"
 _NAMED_BY = {"env": "id", "algo": "name", "backend": "name"}
-"""Key, per group, with which a stored configuration names the chosen option."""
+"""By group: key that holds the chosen option in a stored configuration."""
 
 
 def split_experiment_file(overrides: Sequence[str]) -> tuple[Path | None, list[str]]:

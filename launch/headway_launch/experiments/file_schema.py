@@ -31,7 +31,8 @@ def file_schema(kind: str) -> Schema:
 
 
 def _algo_schema(name: str) -> Schema:
-    """Return the schema of an algorithm's keys, with those that exist only beside some values of others."""
+    """Return the schema of an algorithm's keys, including keys that exist only with certain values of
+    others."""
     entry = algo_entry(name)
     choices = [{key: value} for key, values in literal_choices(entry.config).items() for value in values]
     schema = record_schema(entry.config, *map(entry.record_for, choices))
@@ -91,7 +92,7 @@ def _preset_schema() -> Schema:
 
 
 def _if_chosen(group: str, key: str, option: str, then: Schema) -> Schema:
-    """Return the schema of an experiment whose `group`, if it is a mapping, matches `then` if it is `option`.
+    """Return the schema of an experiment file: if `group` chooses `option`, its mapping must match `then`.
 
     `key` names the option within the mapping.
     """

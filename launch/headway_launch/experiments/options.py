@@ -34,9 +34,10 @@ def configs_folder() -> Path:
 
 @contextmanager
 def own_configs(folder: str) -> Iterator[None]:
-    """Compose also from `folder`, which has the same groups as `configs`: experiment/, preset/ and so on.
+    """Also find the options in `folder`, which has the same groups as `configs`: experiment/, preset/ and so
+    on.
 
-    Raises HeadwayError if it has none of them, or a file that the project has too.
+    Raises HeadwayError if `folder` has none of these groups, or a file that the project also has.
     """
     path = Path(folder).resolve()
     project = _files(configs_folder())
@@ -59,7 +60,7 @@ def own_configs(folder: str) -> Iterator[None]:
 
 
 def own_folder() -> Path | None:
-    """Return the folder of `own_configs`; None outside it."""
+    """Return the folder given to `own_configs`; None outside that context."""
     return _OWN_FOLDER.get()
 
 

@@ -12,7 +12,7 @@ _BEFORE_QUOTE = re.compile(r'(\\*)("|$)')
 
 
 def replaced_words(words: Sequence[str]) -> list[tuple[str, str]]:
-    """Return each word KEY=VALUE that a later one with another value replaces, with that one."""
+    """Return pairs of a word KEY=VALUE and the later word that replaces it with another value."""
     given: dict[str, str] = {}
     replaced = []
     for word in words:
@@ -33,9 +33,9 @@ def require_each_key_once(words: Sequence[str]) -> None:
 def override_words(keys: Mapping[str, object], sweep: bool = False) -> list[str]:
     """Return `KEY=VALUE` for each key with its Python value.
 
-    `sweep`: a list or tuple holds several values, of which each makes a cell; of `seed` it always holds
-    seeds. Text for `seed` and for groups, such as `algo`, stays as on the command line. Raises HeadwayError
-    for a value that a configuration cannot hold.
+    `sweep`: each item of a list or tuple is a value that makes a cell; for `seed`, items are always seeds.
+    Text for `seed` and for groups, such as `algo`, stays as on the command line. Raises HeadwayError for a
+    value that a configuration cannot hold.
     """
     as_given = {"seed", *options()}
     words = []

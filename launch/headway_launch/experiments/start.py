@@ -78,7 +78,8 @@ def _require_start(experiment: Experiment, key: str) -> None:
 
 
 def _require_fitting(folder: Path, record: RunRecord, plan: RunPlan, policy: ActingPolicy) -> None:
-    """Raise HeadwayError unless the policies in a run's newest checkpoint are like `policy`."""
+    """Raise HeadwayError unless the policies in a run's newest checkpoint have the kind and shapes of
+    `policy`."""
     from headway.store.checkpoint import load_latest
 
     if not plan.scaled_actions:

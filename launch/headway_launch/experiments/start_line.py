@@ -1,4 +1,4 @@
-"""What the runs of a cell started from, and their stages, in words; with what the start cost and reached."""
+"""Description, for reports, of what a cell's runs started from and of their stages."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -19,8 +19,8 @@ from headway_launch.experiments.parameters import flat
 def start_line(name: str, root: Path, directories: Sequence[Path], metric: str) -> str | None:
     """Return a sentence on what a cell's runs started from and on their stages; None without either.
 
-    `name` is the cell's name, `root` the store and `directories` the runs' folders. Of a policy that imitated
-    a rule, `metric`, such as `evaluation_greedy/return`, is given beside that of the rule.
+    `name` is the cell's name, `root` the store and `directories` the runs' folders. If policies imitated a
+    rule, the sentence gives their `metric`, such as `evaluation_greedy/return`, and the rule's.
     """
     config = read_configuration(directories[0])
     start, parts = config.get("start") or {}, []

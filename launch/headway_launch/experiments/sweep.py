@@ -12,7 +12,7 @@ from headway_launch.experiments.options import options
 from headway_launch.experiments.parameters import session_settings
 
 _MAX_CELLS = 1_000
-"""Most combinations of one sweep."""
+"""Maximum number of combinations in a sweep."""
 _FORMS = "write KEY=a,b, KEY=choice(a,b) or KEY=range(0,5)"
 
 

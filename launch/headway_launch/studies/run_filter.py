@@ -28,7 +28,7 @@ _TOKEN = re.compile(
     re.VERBOSE | re.IGNORECASE,
 )
 _NAME = re.compile(r"[-+]?0[0-9]|.*_")
-"""Beginning of text that Python reads as a number, but str does not write."""
+"""Start of text that Python would accept as a number but never writes as one, such as `007` or `2_000`."""
 _COMPARISON = re.compile(r"[<>=]|\b(in|like|glob|between|is)\b", re.IGNORECASE)
 _SORT_KEY = re.compile(r"(?P<field>\S+)(?P<direction>\s+(asc|desc))?", re.IGNORECASE)
 _KEYWORDS = {"and", "or", "not", "in", "is", "null", "between", "like", "glob"}
@@ -78,7 +78,8 @@ def parameters_of(row: RunRow) -> dict[str, str | int | float]:
 
 
 def as_number(text: str) -> str | int | float:
-    """Return the finite number that a text is, or else the text; `007` and `2024_01` are names."""
+    """Return the number that a text stands for if it is finite, else the text; `007` and `2024_01`
+    stay text."""
     if _NAME.match(text):
         return text
     for kind in (int, float):

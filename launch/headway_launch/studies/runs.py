@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 def finished_runs(root: Path, study: str, where: Sequence[str] = ()) -> list["RunRow"]:
     """Return the newest finished run of each cell and seed of a study for which `where` holds, oldest first.
 
-    Prints how many runs are left out because they have not finished, or a newer one of their seed has.
+    Prints how many runs are left out because they have not finished, or because a newer run of their seed
+    has.
 
     Raises HeadwayError if there is no such study or no such run, and for an invalid condition.
     """

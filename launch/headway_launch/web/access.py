@@ -16,8 +16,8 @@ _REFUSED = "403: open the address that `headway browse` printed; it contains the
 class TokenAccess:
     """WSGI middleware that refuses requests without the token.
 
-    `/?token=TOKEN` stores the token in a cookie, which all other requests need. Requests of pages of other
-    servers, also of this machine's, are refused.
+    `/?token=TOKEN` stores the token in a cookie, which all other requests need. Requests from pages of other
+    servers, including those on this machine, are refused.
     """
 
     def __init__(self, application: "WSGIApplication") -> None:

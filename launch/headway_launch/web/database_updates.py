@@ -16,7 +16,7 @@ _PAUSE_S = 10.0
 class DatabaseUpdates:
     """Thread that sends to the database what it lacks, of live runs too: at the start and at intervals.
 
-    A database that cannot be written, such as another user's, is one notice.
+    If the database cannot be written, for instance because it belongs to another user, one notice reports it.
     """
 
     def __init__(self, root: Path) -> None:
