@@ -128,7 +128,7 @@ def tradeoff_section(data: StudyData) -> Section:
 
 
 def _power_sources(data: StudyData) -> str:
-    """Describe how the power of each component was obtained, and whose country's energy mix is used."""
+    """Describe the source of each component's power, and the country whose energy mix is used."""
     from headway_launch.studies.runs import configuration
 
     used = data.summaries[data.summaries["kwh"].notna()]

@@ -111,7 +111,8 @@ def scale_of(largest: float, unit: str) -> tuple[str, float]:
 
 
 def _decimals(spread: float, value: float) -> int:
-    """Return decimals that show two digits of the spread, at most four in all, one or more below 1,000."""
+    """Return the number of decimals: two digits of the spread, at most four digits in all; below 1,000 at
+    least one."""
     largest = max(abs(value), spread)
     four_digits = 3 - math.floor(math.log10(largest)) if largest else 0
     decimals = min(1 - math.floor(math.log10(spread)), four_digits) if spread > 0 else four_digits

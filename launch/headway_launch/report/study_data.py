@@ -304,9 +304,11 @@ class StudyData:
         return self.paired(task, self.by_seed(task, controller, self.column), best)
 
     def gap_lines(self, task: str) -> list[str]:
-        """Return `comparison.gap_lines` of a task, over the episodes of the last evaluation that the best
-        rule, `lookahead` and all learners have in common; of controllers whose difference from the best rule
-        is known."""
+        """Return the sentences of `comparison.gap_lines` for a task.
+
+        They concern the controllers with a known difference from the best rule, over the episodes of the last
+        evaluation that all learners, the best rule and `lookahead` have in common.
+        """
         ranked = self.ranked_rules(task)
         known = [rule for rule in filter(is_lookahead, ranked) if self.rule_against_best(task, rule).interval]
         if not known:

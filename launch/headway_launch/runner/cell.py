@@ -29,8 +29,8 @@ from headway_launch.runner.stored_run import StoredRun
 _TO_METRIC_NAME = str.maketrans(".:", "__")
 Rules = Mapping[str, list[Row]]
 _EVALUATION_SEED = "evaluation_seed"
-"""Column of the evaluation seed in the rows of rules. Their `episode_seed` alone identifies no episode,
-because it counts from 0 for every evaluation seed."""
+"""Column of the evaluation seed in the rows of rules. Their `episode_seed` alone does not identify an
+episode, because it counts from 0 for every evaluation seed."""
 
 
 class SessionCell:
@@ -85,7 +85,7 @@ class SessionCell:
     def _require_untaken(self, seeds: Sequence[int]) -> None:
         """Raise RunTakenError if another session has begun a run of these seeds since this one was planned.
 
-        A run that has failed or was killed since does not count, nor one that cannot be read.
+        Runs that have failed or been killed since, and runs that cannot be read, do not count.
         """
         known, root = self.plan.known_runs, Path(self.config.store.root)
         if known is None:

@@ -28,7 +28,7 @@ _COLUMNS = ("controller", "episodes", "return", "learner minus rule", "95% low",
 
 def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "--rules") -> tuple[str, ...]:
     """Return the rules to play: the distinct ones in `names` (`a,b`) or, by default, all that can be played
-    but `lookahead`.
+    except `lookahead`.
 
     Prints which rules are left out because wrappers hide their inputs. Raises HeadwayError, naming `option`,
     for an unknown rule or a listed rule that cannot play.
@@ -130,11 +130,11 @@ def difference(learned: Sequence[Sequence[float]], rule: Sequence[float]) -> "In
 
 
 def gap_lines(learned: Mapping[str, float], rules: Mapping[str, Sequence[float]], sign: int = 1) -> list[str]:
-    """Return a sentence for each `lookahead` among the rules: which share of its gap to the best other rule
-    the learners close, if the paired 95% interval of the gap over episodes is above 0.
+    """Return a sentence for each `lookahead` among the rules on its lead over the best other rule.
 
-    `learned`: mean of each learner; `rules`: values of each rule, of the same episodes in the same order.
-    `sign` is -1 if lower is better.
+    It states which share of that lead each learner reaches, if the paired 95% interval of the lead over
+    episodes is above 0. `learned`: mean of each learner; `rules`: values of each rule, of the same episodes
+    in the same order. `sign` is -1 if lower is better.
     """
     others = [rule for rule in rules if not is_lookahead(rule)]
     if not others:
@@ -150,7 +150,8 @@ def gap_lines(learned: Mapping[str, float], rules: Mapping[str, Sequence[float]]
 
 
 def _gap_line(best: str, reference: str, gains: Sequence[float], learned: Mapping[str, float]) -> str:
-    """Return the sentence on one `lookahead`; `gains` (episodes) and `learned` are over the rule `best`."""
+    """Return the sentence on one `lookahead`; `gains` (episodes,) and `learned` are differences from the rule
+    `best`."""
     between = f"gap from {best}, the best of the rules played, to {reference}"
     if len(gains) < 2:
         return f"{between}: not distinguishable from 0 over fewer than two episodes"

@@ -43,7 +43,7 @@ class JobRecorder:
     began: float | None = None
     """When training began, on the session's monotonic clock."""
     trained_s: float = 0.0
-    """Seconds from there to the end of training; 0 if the process ended without a final event."""
+    """Seconds from the beginning to the end of training; 0 if the process ended without a final event."""
     store_s: float = 0.0
     """Seconds of `trained_s` spent on logs and checkpoints."""
     failure: Failed | None = None

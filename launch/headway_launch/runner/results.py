@@ -45,7 +45,7 @@ _CELL_COLUMNS = (
     CO2_HEADING,
 )
 _MAX_UNCHANGED = 3
-"""Most seeds that are named because training has not changed their return."""
+"""Maximum number of seeds named in the notice that training has not changed their return."""
 _OPTIONAL = ("steps/s", CO2_HEADING)
 """Columns left out first on a narrow terminal."""
 
@@ -235,7 +235,7 @@ def _print_notes(results: Sequence[SeedResult]) -> None:
 
 
 def _print_unchanged(results: Sequence[SeedResult], modes: Sequence[str]) -> None:
-    """Print which seeds had the same return in every evaluation, with one before training among them."""
+    """Print which seeds had the same return in every evaluation, including the one before training."""
     from headway.store.parquet_log import read_curve
 
     unchanged = []

@@ -28,7 +28,8 @@ from headway_launch.runner.warm_up import compile_kernels_of
 EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130
 _MAX_LISTED_RUNS = 3
 _SHORTEST_MEASURED_S = 60.0
-"""Training seconds from which the store's share is printed; in less, start-up and shutdown dominate."""
+"""Minimum training time for which the store's share is printed, s; start-up and shutdown dominate shorter
+ones."""
 STORE_SHARE = "storage took"
 """Prefix of the line that reports the store's share of the training time."""
 

@@ -24,9 +24,10 @@ _POLL_S = 0.2
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _SAME_REQUEST_S = 1.0
 _SILENT_S = 3 * MIN_TIMEOUT_S
-"""Least silence of a training process that is noticed, s: it may wait for a worker and its replacement."""
+"""Minimum silence of a training process that is reported, s: it may be waiting for a worker and its
+replacement."""
 _STOP_S = 10.0
-"""Least time until a training process reports something after a stop request, s."""
+"""Minimum time that a training process has to report something after a stop request, s."""
 
 
 class StopRequests:
@@ -76,12 +77,12 @@ class _Running:
     job: SessionJob
     training: Training
     silence: AdaptiveTimeout = field(default_factory=lambda: AdaptiveTimeout(factor=20.0, min_s=_SILENT_S))
-    """Time between two events. It does not count before the first event, nor after a notice, such as that of
-    a replaced worker."""
+    """Time between two events, and its limit. Not counted: the time before the first event, and after a
+    notice, such as that of a replaced worker."""
     heard_at: float = field(default_factory=time.monotonic)
     """Time of its last event, s."""
     is_regular: bool = False
-    """The time since the last event counts."""
+    """Whether the time since the last event counts towards `silence`."""
     is_noticed: bool = False
     """The user has been told that it is silent."""
     is_killed: bool = False
@@ -103,7 +104,7 @@ class _Running:
 
         The limit is five times the longest silence so far. It is at least 10 s, or a minute when it has
         answered and writes its checkpoint. Before the second event it is 10 s: nothing is lost by then. There
-        is none during the last evaluation, which may have any number of episodes.
+        is no limit during the last evaluation, which may have any number of episodes.
         """
         progress = self.job.progress
         if progress.status in OVER or progress.iteration >= progress.iterations:

@@ -21,7 +21,7 @@ class SessionEnergy:
 
     @property
     def modes(self) -> dict[str, str]:
-        """How each part's power is known, as tags of runs; empty if energy is not measured."""
+        """Source of each part's power, as tags of runs; empty if energy is not measured."""
         return self._meter.modes.as_tags() if self._meter and self._config.enabled else {}
 
     def sample_if_due(self) -> None:

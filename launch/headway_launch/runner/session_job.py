@@ -33,7 +33,7 @@ class SessionJob:
 
     @classmethod
     def of(cls, cell: SessionCell, planned: PlannedJob) -> "SessionJob":
-        """Return the waiting job of a plan."""
+        """Return a planned job, waiting to start."""
         config = cell.config
         progress = JobProgress(
             planned.seeds,

@@ -31,7 +31,7 @@ class StoredRun:
 
     @classmethod
     def find(cls, root: Path, run_id: str) -> "StoredRun":
-        """Return the run with identity `run_id`, or with an identity of which `run_id` is a unique part.
+        """Return the run with identity `run_id`, or the only one with `run_id` as a part of its identity.
 
         Raises HeadwayError if there is no such run or its folder is incomplete.
         """

@@ -34,7 +34,8 @@ _OTHER_ACTIONS = ("waits", "service_visits", "services_refused")
 
 
 def bus_published_section(data: StudyData) -> Section | None:
-    """Compare the study with the published table, by rank correlation too; None for other environments."""
+    """Compare the study with the published table, including rank correlations; None for other
+    environments."""
     tasks = tasks_of(data, ENVIRONMENT)
     if not tasks:
         return None
@@ -186,7 +187,7 @@ def _correlations(table: pd.DataFrame, number: str) -> list[Part]:
 
 
 def _identical_policies(data: StudyData, task: str, controllers: list[str]) -> list[Part]:
-    """Name learners whose greedy evaluations are identical, or only move, on all seeds and days."""
+    """Name learners that are identical in the greedy evaluation, or only move, with all seeds on all days."""
     if data.mode != "greedy":
         return []
     alike: dict[tuple[float, ...] | None, list[str]] = {}
@@ -240,7 +241,7 @@ def _correlation(found: dict[str, float], test: str) -> str:
 
 
 def _rules_and_learners(data: StudyData, task: str) -> list[Part]:
-    """Compare learners with the rules that always move, in the units of the published table."""
+    """Compare learners with the two rules that never hold a bus, in the units of the published table."""
     buses = int(env_of(data, task)["args"]["agents"])
     values = {
         rule: buses * float(data.by_episode(task, rule).mean())

@@ -123,7 +123,7 @@ class Allocation:
     time: str | None = None
     """Time limit in Slurm's format: minutes, HH:MM:SS, DAYS-HH and so on; None: the partition's default."""
     partition: str | None = None
-    """None: the default partition."""
+    """Partition to run in; None: the default one."""
     further: tuple[str, ...] = field(default=())
     """Further options of sbatch, passed on unchanged."""
 
@@ -159,7 +159,7 @@ class Allocation:
 
 
 def _require_further(option: str) -> None:
-    """Raise HeadwayError if `option` is not one option of sbatch, or one that the script sets itself."""
+    """Raise HeadwayError unless `option` is a single option of sbatch that the script does not set itself."""
     try:
         words = shlex.split(option)
     except ValueError:
