@@ -96,8 +96,8 @@ class ArrayEnv(ABC, Generic[WorldT, OutputsT]):
         return self.observed()
 
     def _redraw(self, seeds: NDArray[np.uint64]) -> None:
-        """Replace all that is drawn for the future of every copy; seeds (C,). Raises HeadwayError if the
-        environment's entry should name no rule for `lookahead`."""
+        """Replace the random events that have been drawn for the future of every copy; seeds (C,). Raises
+        HeadwayError for environments that do not support `lookahead`, to be overridden by those that do."""
         raise HeadwayError(f"{self._spec.name} cannot be simulated ahead: leave out the rule lookahead")
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ from headway.contracts import BatchedEnv, Observations
 
 @dataclass(frozen=True)
 class ConstantAction:
-    """Every agent takes the same Discrete action at every step."""
+    """Rule under which every agent takes the same Discrete action at every step."""
 
     prepared: object
     action: int

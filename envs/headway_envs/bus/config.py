@@ -19,7 +19,7 @@ def _require_share(**values: float) -> None:
 
 ObservationName = Literal["paper", "published", "control", "network"]
 OBSERVATIONS: tuple[str, ...] = get_args(ObservationName)
-"""In the kernel an observation is its place here."""
+"""Names of the observations; the kernel identifies each by its index."""
 
 
 def _require_above(low: float, **values: float) -> None:
@@ -55,8 +55,8 @@ class RewardConfig:
     spacings. 0: only the spacing ahead counts."""
     scale_service: bool = False
     """Only with `scope=own`. True: multiply q by the number of buses that the line has outside the depot. In
-    the line's reward, a bus's own c counts one part in that number and q counts whole; without the factor
-    buses learn to hold too long, the more so the more buses the line has."""
+    the line's reward, c of one bus counts 1 / that number, whereas q counts fully. Without the factor buses
+    learn to hold too long, especially on lines with many buses."""
     foresee_upkeep: bool = False
     """True: charge the future cost of low fuel and wear, up to the next time at the depot, as soon as it
     becomes foreseeable, and refund it when the bus is serviced. This makes costs that lie hours ahead, beyond

@@ -50,8 +50,8 @@ def prepare_variant(config: BusConfig, other: Prepared) -> Prepared:
 
 
 def foreseeing_upkeep(prepared: Prepared) -> Prepared:
-    """Return the same environment with `reward.foresee_upkeep`, because a bus runs out of fuel hours after it
-    has missed its service."""
+    """Return the same environment with `reward.foresee_upkeep`, for `lookahead`: within its horizon a missed
+    service has no consequence, since a bus runs out of fuel hours later."""
     reward = replace(prepared.config.reward, foresee_upkeep=True)
     return replace(prepared, config=replace(prepared.config, reward=reward))
 

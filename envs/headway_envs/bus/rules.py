@@ -32,8 +32,8 @@ Floats = NDArray[np.float64]
 FUEL_MARGIN = 1.25
 """Safety margin on fuel: the driving time that a bus's fuel lasts for is divided by this factor."""
 NEAR_S = 60.0
-"""Maximum time by which a terminal's detour may exceed its line's shortest detour to count as near a service
-centre, s."""
+"""Tolerance, s, for terminals near a service centre: a terminal is near if its detour exceeds the shortest
+detour of its line by at most this time."""
 MIN_WORN_SHARE = 0.5
 """Share of the planned driving time until the depot that a bus must spend below the warning level of uptime
 to be sent to service."""
@@ -48,8 +48,8 @@ def _at(curves: Floats, rows: NDArray[np.int64], time: Floats) -> Floats:
 
 
 class FleetState:
-    """State of all buses of C copies as (C, N) arrays; times in s. What a rule does not read is not computed:
-    `lookahead` asks its base rule many thousand times per day."""
+    """State of all buses of C copies as (C, N) arrays; times in s. Values are computed when first read,
+    because `lookahead` asks its base rule many thousand times per day."""
 
     def __init__(self, env: BatchedEnv) -> None:
         """Raises TypeError for any environment but the bus environment."""

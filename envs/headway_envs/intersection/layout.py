@@ -89,9 +89,9 @@ class Traffic(NamedTuple):
     position: Floats
     """Position of the front along the path, m; the stop line is at ROAD_M."""
     speed: Floats
-    """m/s"""
+    """Current speed, m/s."""
     before: Floats
-    """Speed one step before, m/s."""
+    """Speed in the previous step, m/s."""
     fuel: Floats
     """Fuel rate, ml/s."""
     offset: Floats

@@ -18,7 +18,7 @@ LINKS = (("right", 0), ("straight", 0), ("straight", 1), ("left", 1))
 ROAD_M = 200.0
 """Length of every road up to the junction, m."""
 SPEED_LIMIT = 30.0
-"""m/s"""
+"""Speed limit on all roads, m/s."""
 _FOLDER = Path(__file__).with_name("networks")
 
 

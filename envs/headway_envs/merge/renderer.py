@@ -24,7 +24,7 @@ Pixels = list[tuple[float, float]]
 ROW_M = 270.0
 """Length of road per row, m; two rows show all of it."""
 SCALE = 5.0
-"""Pixels per metre."""
+"""Scale of pictures, pixels per metre."""
 FINER = 2
 """Factor by which pictures are drawn larger and then reduced, for smooth edges."""
 ABOVE_M, MARGIN_M, HEADER = 6.0, 4.0, 34

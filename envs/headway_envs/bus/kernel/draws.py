@@ -14,7 +14,7 @@ from headway_envs.keyed_random import uniform
 DAY, EVENING, NETWORK, TRIP, LINK, INCIDENT, INCIDENT_SIZE, DISPATCH = 1, 2, 3, 4, 5, 6, 7, 8
 """Purposes of the draws; part of each number's key."""
 ARRIVAL, PATIENCE, DEMAND_DAY, DEMAND_HOUR, ALIGHTING, BREAKDOWN = 9, 10, 11, 12, 13, 14
-"""Purposes."""
+"""Further purposes."""
 PATIENCE_LEFT, HAZARD_LEFT = 15, 16
 """Purposes of `future.redraw`."""
 

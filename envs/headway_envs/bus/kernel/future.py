@@ -1,4 +1,4 @@
-"""Another future of the same present: everything that is drawn ahead is drawn again from another seed."""
+"""New futures from the same present: what was drawn in advance is drawn again from another seed."""
 
 from typing import Any
 
@@ -25,8 +25,8 @@ from headway_envs.keyed_random import episode_key
 
 @compiled
 def _redraw_queue(net: Network, k: Record, world: World, c: int, call: int, pattern: int) -> None:
-    """Draw the next arrival and the patience of those who wait. Both are memoryless; the random factor of the
-    hour is drawn again too."""
+    """Draw the next arrival and the remaining patience of waiting passengers, which are memoryless, and the
+    random factor of the hour."""
     day, queue, first = world.days[c], world.queues[c, call], net.queue_first[call]
     for i in range(queue.waiting):
         if world.leaves_at[c, first + i] < np.inf:
@@ -70,9 +70,9 @@ def _redraw_copy(net: Network, k: Record, world: World, c: int, seed: np.uint64)
 def redraw(net: Network, settings: NDArray[Any], world: World, seeds: NDArray[np.uint64]) -> None:
     """Draw the future of every copy from `seeds` (C,), given its present.
 
-    The present keeps the day's demand factor, passengers waiting and aboard, and the ends of dwells, links
-    and dispatch delays that have begun, which the rules see too. Travel times go on from their present level,
-    as those of another day would. A second redraw leaves nothing of the first.
+    Unchanged are the day's demand factor, the passengers waiting and aboard, and the end times of dwells,
+    drives and dispatch delays that have begun, which rules can see too. Travel times continue from their
+    present level with the variation of another day. A second redraw replaces the first completely.
     """
     for c in range(seeds.shape[0]):
         _redraw_copy(net, settings[0], world, c, seeds[c])

@@ -16,8 +16,8 @@ from headway_envs.bus.kernel.layout import (
 )
 
 LEFT_OUT, COUNTED, MISSING_FROM_LINE = 0, 1, 2
-"""Role of a slot in the regularity c. LEFT_OUT: none; COUNTED: scheduled in service; MISSING_FROM_LINE:
-scheduled, but broken down or at the service centre."""
+"""Role of a slot in the regularity component c of the reward. LEFT_OUT: not counted; COUNTED: scheduled to be
+in service; MISSING_FROM_LINE: scheduled, but broken down or at the service centre."""
 
 
 @compiled

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _MIN_LINK_S = 8.0
 MAX_LINK_S = 1800.0
-"""Largest plausible time between stops, s. Longer times are faults of the positions, or breaks."""
+"""Largest plausible time between stops, s. Longer times are due to position errors or to breaks."""
 _MODEL_WEIGHT = 4.0
 """Weight of the model of link and hour, in observed drives."""
 _SD_WEIGHT = 8.0

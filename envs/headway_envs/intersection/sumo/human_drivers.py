@@ -10,7 +10,7 @@ DESIRED_SPEED, HEADWAY_S, ACCELERATION, BRAKING, EXPONENT, GAP_M = 30.0, 1.0, 1.
 
 
 def acceleration(speed: Floats, lead_speed: Floats, gap: Floats) -> Floats:
-    """Return the IDM accelerations (V,) of vehicles with gap s to their leaders (m; inf: no leader), m/s^2.
+    """Return the IDM accelerations (V,) of vehicles, m/s^2; s is the gap to the leader, m (inf: no leader).
 
     a (1 - (v / v0)^4 - (s* / s)^2) with s* = s0 + max(0, v T + v (v - v_lead) / (2 sqrt(a b))).
     """

@@ -45,6 +45,6 @@ def adjacent_vehicles(
 
 @compiled
 def right_neighbour_lane(net: Network, cars: NDArray[np.void], ego: int) -> int:
-    """Return the right one of a vehicle's pair of neighbouring lanes; -1: none."""
+    """Return the lane to the right of a CAV, if it runs beside its own lane at this position; -1: none."""
     lane = net.lanes[cars[ego].lane]
     return int(lane.right) if cars[ego].x > lane.beside_from else -1

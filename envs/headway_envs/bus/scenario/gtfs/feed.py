@@ -53,9 +53,9 @@ _ZIP_ERRORS = (
     RuntimeError,  # encrypted
     NotImplementedError,  # compressed by an unknown method
 )
-"""What Python's zipfile raises for a zip that it cannot read."""
+"""Exceptions of Python's zipfile for a zip file that it cannot read."""
 _MAX_BYTES = 4 * 2**30
-"""Most bytes that a feed's files may unpack to."""
+"""Maximum size of a feed's unpacked files, bytes."""
 
 
 @dataclass(frozen=True)
