@@ -162,7 +162,7 @@ def _gap_line(best: str, reference: str, gains: Sequence[float], learned: Mappin
         return f"{between}: {finding} ({interval})"
     shares = ", ".join(f"{name} closes {value / gap.estimate:.0%}" for name, value in learned.items())
     note = "a reference that simulates the environment"
-    return f"{between}, {note}: {gap.estimate:.4g} ({interval}){'; of it ' if shares else ''}{shares}"
+    return f"{between}, {note}: {gap.estimate:.4g} ({interval}){'; of this gap, ' if shares else ''}{shares}"
 
 
 def few_seeds(seeds: int) -> str:

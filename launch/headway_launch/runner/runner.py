@@ -228,7 +228,7 @@ class Runner:
             )
             waiting = f"{counted(not_started, 'run')} not started; " if not_started else ""
             failed = any(result.status == "FAILED" for result in results)
-            when = "to continue, once the cause of the failure is mended" if failed else "to continue"
+            when = "to continue, once the cause of the failure is fixed" if failed else "to continue"
             print_line(f"headway: {waiting}{when}: {own_name()} resume {named}{option}")
 
     def _print_store_share(self) -> None:

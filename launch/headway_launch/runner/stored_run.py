@@ -43,7 +43,9 @@ class StoredRun:
         mapping = read_configuration(directory)
         store = mapping.get("store", {})
         if not isinstance(store, Mapping):
-            raise HeadwayError(f"{directory / 'config.yaml'}: store={store} is no mapping; restore the file")
+            raise HeadwayError(
+                f"{directory / 'config.yaml'}: store={store} is not a mapping; restore the file"
+            )
         # The store may have been moved since the run was written.
         mapping["store"] = {**store, "root": str(root)}
         return cls(directory, RunRecord.read(directory), mapping, RunPlan.read(directory))

@@ -370,7 +370,7 @@ def test_lookahead_is_the_measure_of_what_could_be_gained_and_not_the_best_rule(
     report = made(root)
     text = text_of(report)
     assert "gap from optimal, the best of the rules played, to lookahead, a reference that simulates" in text
-    assert ": 10 (95% interval 10 to 10); of it ippo closes 25%." in text
+    assert ": 10 (95% interval 10 to 10); of this gap, ippo closes 25%." in text
     found = table(report, "interquartile_means").set_index("controller")
     assert found.loc["ippo", "minus_best_rule"] == pytest.approx(2.5)
     assert found.loc["rule lookahead", "minus_best_rule"] == pytest.approx(10.0)
@@ -384,7 +384,7 @@ def test_shares_of_a_gap_are_over_the_episodes_that_all_seeds_have(keep_run: Kee
         keep_run((*TRACKING, "algo=ippo"), seed, 12.0 + seed, rules={**RULES, "lookahead": 20.0}, last=last)
         keep_run((*TRACKING, "algo=ia2c"), seed, 15.0, rules={**RULES, "lookahead": 20.0})
     text = text_of(made(root))
-    assert ": 10 (95% interval 10 to 10); of it ia2c closes 50%, ippo closes 25%." in text
+    assert ": 10 (95% interval 10 to 10); of this gap, ia2c closes 50%, ippo closes 25%." in text
     assert "nan" not in text.partition("gap from")[2].splitlines()[0]
 
 
@@ -400,7 +400,7 @@ def test_a_learner_without_common_episodes_has_no_share(keep_run: Keep, root: Pa
     keep_run((*TRACKING, "algo=ippo"), 0, 12.0, rules={**RULES, "lookahead": 20.0}, last=1)
     keep_run((*TRACKING, "algo=ia2c"), 0, 15.0, rules={**RULES, "lookahead": 20.0})
     text = text_of(made(root))
-    assert ": 10 (95% interval 10 to 10); of it ia2c closes 50%." in text
+    assert ": 10 (95% interval 10 to 10); of this gap, ia2c closes 50%." in text
 
 
 def test_lookahead_alone_is_no_rule_to_compare_with(keep_run: Keep, root: Path) -> None:

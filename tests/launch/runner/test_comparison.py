@@ -53,11 +53,11 @@ def test_lookahead_is_a_reference_and_not_the_best_rule() -> None:
     rules = {"hold": [200.0, 400.0], "move": [200.0, 200.0], "lookahead": [239.0, 441.0]}
     [line] = gap_lines({"ippo": 310.0, "ia2c": 290.0}, rules)
     assert line.startswith("gap from hold, the best of the rules played, to lookahead, a reference that sim")
-    assert line.endswith(": 40 (95% interval 27.29 to 52.71); of it ippo closes 25%, ia2c closes -25%")
+    assert line.endswith(": 40 (95% interval 27.29 to 52.71); of this gap, ippo closes 25%, ia2c closes -25%")
     [line] = gap_lines({}, rules)
     assert line.endswith(": 40 (95% interval 27.29 to 52.71)")
     [line] = gap_lines({"ippo": 4.0}, {"hold": [5.0, 5.0], "lookahead:hold:9": [3.0, 3.0]}, sign=-1)
-    assert line.endswith(": 2 (95% interval 2 to 2); of it ippo closes 50%")
+    assert line.endswith(": 2 (95% interval 2 to 2); of this gap, ippo closes 50%")
 
 
 @pytest.mark.parametrize(
@@ -88,6 +88,6 @@ def test_without_lookahead_or_another_rule_there_is_no_gap() -> None:
 def test_the_share_of_the_gap_is_printed_if_episodes_pair(capsys: pytest.CaptureFixture[str]) -> None:
     rules = {"hold": episodes(1.0, 3.0), "lookahead": episodes(5.0, 7.0)}
     print_comparison("ippo", [episodes(3.0, 3.0), episodes(3.0, 3.0)], rules)
-    assert ": 4 (95% interval 4 to 4); of it ippo closes 25%" in capsys.readouterr().err
+    assert ": 4 (95% interval 4 to 4); of this gap, ippo closes 25%" in capsys.readouterr().err
     print_comparison("ippo", [episodes(3.0, 3.0, 3.0), episodes(3.0, 3.0)], rules)
     assert "gap" not in capsys.readouterr().err

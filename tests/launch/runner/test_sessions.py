@@ -176,7 +176,7 @@ def test_the_error_of_a_failed_run_is_printed_once(
     monkeypatch.setattr(SessionCell, "training_job", training_job)
     assert run(["run", *TINY, "seed=3", "env_steps=256", "backend=serial"]) == 2
     lines = capsys.readouterr().err.splitlines()
-    assert any("to continue, once the cause of the failure is mended: " in line for line in lines)
+    assert any("to continue, once the cause of the failure is fixed: " in line for line in lines)
     [line] = [line for line in lines if "the scenario is gone" in line]
     told, path = line.split("; see ")
     assert told == "headway: seed 3 failed: the scenario is gone"
