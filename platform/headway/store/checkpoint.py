@@ -130,10 +130,8 @@ def _newest_valid(
             notices.append(f"checkpoint {path.name} is broken ({error}) and was skipped")
     where = " or ".join(str(directory) for directory in directories)
     if notices:
-        raise HeadwayError(
-            f"every checkpoint in {where} is broken: start the run anew ({'; '.join(notices)})"
-        )
-    raise HeadwayError(f"there is no checkpoint in {where}: start the run anew")
+        raise HeadwayError(f"every checkpoint in {where} is broken: start a new run ({'; '.join(notices)})")
+    raise HeadwayError(f"there is no checkpoint in {where}: start a new run")
 
 
 class UnfitPolicyError(HeadwayError):
@@ -214,7 +212,7 @@ def _load(path: Path) -> dict[str, Any]:
     try:
         state = torch.load(io.BytesIO(memoryview(content)[header:]), map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:  # whose text advises to load it unsafely
-        raise ValueError("it holds other objects than tensors, numbers and strings") from error
+        raise ValueError("it holds objects other than tensors, numbers and strings") from error
     except (RuntimeError, EOFError) as error:
         raise ValueError("torch cannot read its content") from error
     decoded = _decoded(state)

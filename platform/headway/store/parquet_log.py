@@ -160,7 +160,7 @@ def _tables(
             if column not in segment.schema_arrow.names:
                 raise HeadwayError(f"{path} lacks column {column}: remove it to use the rest")
             if pa.types.is_integer(segment.schema_arrow.field(column).type) == (column == "mode"):
-                raise HeadwayError(f"{path}, column {column} is of a wrong type: remove it to use the rest")
+                raise HeadwayError(f"{path}, column {column} has the wrong type: remove it to use the rest")
             if column in tables[-1].column_names and tables[-1].column(column).null_count:
                 raise HeadwayError(f"{path} lacks values of {column}: remove it to use the rest")
         for column in tables[-1].schema:

@@ -81,7 +81,7 @@ def test_no_valid_checkpoint_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(HeadwayError, match="no checkpoint in"):
         load_latest(tmp_path)
     (tmp_path / "checkpoint-000020.pt").write_bytes(b"half")
-    with pytest.raises(HeadwayError, match="is broken: start the run anew"):
+    with pytest.raises(HeadwayError, match="is broken: start a new run"):
         load_latest(tmp_path)
 
 
@@ -112,7 +112,7 @@ def test_a_pickle_with_a_right_checksum_is_not_loaded(tmp_path: Path) -> None:
     (path,) = tmp_path.glob("checkpoint-*.pt")
     content = pickle.dumps(Path)
     path.write_bytes(_MAGIC + hashlib.sha256(content).digest() + content)
-    with pytest.raises(HeadwayError, match="holds other objects than tensors") as refusal:
+    with pytest.raises(HeadwayError, match="holds objects other than tensors") as refusal:
         load_latest(tmp_path)
     assert "weights_only" not in str(refusal.value)
 

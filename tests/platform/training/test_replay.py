@@ -127,6 +127,6 @@ def test_a_run_whose_replay_buffer_is_missing_prints_one_line(tmp_path: Path) ->
     trained(job, stop_after=4)
     for path in (tmp_path / "5" / "checkpoints").glob("experience-*.pt"):
         path.unlink()
-    with pytest.raises(HeadwayError, match=r"start the run anew .*its replay data .* are missing") as caught:
+    with pytest.raises(HeadwayError, match=r"start a new run .*its replay data .* are missing") as caught:
         trained(replace(job, resume=True))
     assert "\n" not in str(caught.value)
