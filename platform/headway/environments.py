@@ -37,12 +37,14 @@ def chosen_env(config: EnvConfig) -> ChosenEnv:
     if options and not external:
         raise HeadwayError(
             f"env.{next(iter(options))} is for PettingZoo and Gymnasium environments only; remove it, "
-            f"{config.id} defines it itself"
+            f"since {config.id} defines it itself"
         )
     if is_file_id(config.id):
         options.setdefault("file_digest", EnvFile.read(config.id).digest)
     elif config.file_digest is not None:
-        raise HeadwayError(f"env.file_digest is for Python files only; remove it, {config.id} is none")
+        raise HeadwayError(
+            f"env.file_digest is for Python files only; remove it, since {config.id} is not one"
+        )
     entry = training = _module_entry(config, config.args) if external else env_entry(config.id)
     if external and config.training_args:
         training = _module_entry(config, {**config.args, **config.training_args})

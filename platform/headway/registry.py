@@ -116,7 +116,7 @@ def rule_entry(env: EnvEntry, name: str) -> RuleEntry:
     if env.lookahead is None:
         raise HeadwayError(
             f"rule {LOOKAHEAD} needs an environment that can be simulated ahead, without wrappers "
-            "other than of rewards; leave it out"
+            "other than reward wrappers; leave it out"
         )
     form = f"{LOOKAHEAD}:RULE:STEPS:SAMPLES"
     _, base, *numbers = [*name.split(":"), *(env.lookahead,) * (":" not in name)]
@@ -132,7 +132,7 @@ def rule_entry(env: EnvEntry, name: str) -> RuleEntry:
     own = bases[base]
     steps, samples = [*map(int, numbers), *(STEPS, SAMPLES)[len(numbers) :]]
     return RuleEntry(
-        f"reference of what can be gained: tries actions in {samples} simulations of {steps} steps of {base}",
+        f"reference for the possible gain: tries actions in {samples} simulations of {steps} steps of {base}",
         lambda prepared: Lookahead(env.make, env.simulated(prepared), own.make(prepared), steps, samples),
     )
 

@@ -68,7 +68,7 @@ def test_lookahead_is_a_rule_but_none_that_is_played_by_default() -> None:
         (
             "tracking",
             "lookahead",
-            "needs an environment that can be simulated ahead, without wrappers other than of rewards; leave",
+            "needs an environment that can be simulated ahead, without wrappers other than reward wrappers",
         ),
     ],
 )

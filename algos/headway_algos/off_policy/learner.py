@@ -131,8 +131,8 @@ class OffPolicyLearner(PolicyStack):
             taken = {name: part for name, part in parent["method"].items() if "optimiser" not in name}
         if not taken or not same_shapes(taken, {name: own.get(name) for name in taken}):
             raise HeadwayError(
-                f"start.run is a run of another algorithm or of other networks than {self.config.name} has "
-                "here; start from a run of the same"
+                f"start.run was trained with another algorithm or other networks than {self.config.name} "
+                "has here; start from a run with the same"
             )
         self.method.load_state_dict({**own, **taken})
         self.moments.load_state_dict(parent["moments"])

@@ -13,7 +13,7 @@ _OF_LINES = (
     ),
     ObservationFeature(
         "extra_to_centre",
-        "how much longer that is than from the line's nearest place where trips begin; at most 5",
+        "its excess over the shortest such time from the line's terminals; at most 5",
         "s",
         300.0,
     ),

@@ -11,7 +11,7 @@ SERVICE_BELOW = 0.5
 
 
 ENTRY = EnvEntry(
-    summary="Buses as in BusEnv's released code: fixed times, no passengers of their own, a clock each",
+    summary="Buses as in BusEnv's released code: fixed times, no simulated passengers, one clock per bus",
     config=BusPublishedConfig,
     make=Lazy("headway_envs.bus_published.env:BusPublishedBatchedEnv"),
     prepare=Lazy("headway_envs.bus_published.prepared:prepare"),

@@ -160,11 +160,11 @@ class IntersectionBatchedEnv:
 
     def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
         """Raise HeadwayError: a simulation state saved by SUMO does not continue exactly."""
-        raise HeadwayError("the intersection has no snapshots; its episodes start anew on resume")
+        raise HeadwayError("the intersection has no snapshots; its episodes restart on resume")
 
     def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
         """Raise HeadwayError: there are no snapshots."""
-        raise HeadwayError("the intersection has no snapshots; its episodes start anew on resume")
+        raise HeadwayError("the intersection has no snapshots; its episodes restart on resume")
 
     def close(self) -> None:
         """Release the simulation for other environments of this process."""

@@ -91,8 +91,8 @@ def execute(arguments: argparse.Namespace) -> int:
         name = f"{name}, best policy (iteration {policy.iteration})"
         if arguments.seed is None:
             print_line(
-                f"headway: other episodes than the {evaluation.episodes} that chose this policy; the newest "
-                f"policy on the same ones: --seed {root} without --best"
+                f"headway: these episodes are not the {evaluation.episodes} that selected this policy; to "
+                f"evaluate the newest policy on them: --seed {root} without --best"
             )
     with CountedProgress("episodes played", (1 + len(rules)) * episodes) as progress:
         greedy, count = arguments.mode == "greedy", counting(progress, name)

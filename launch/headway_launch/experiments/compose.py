@@ -528,7 +528,7 @@ def _one_line(error: Exception) -> str:
     if kept and (several := _SEVERAL_VALUES.match(kept[0])):
         key = several["key"].lstrip("+")
         values = several["value"]
-        return f"{key}={values} is several values; use `headway sweep`, or {key}=[{values}] for one list"
+        return f"{key}={values} lists several values; use `headway sweep`, or {key}=[{values}] for one list"
     return "the configuration cannot be composed: " + "; ".join(kept[:3])
 
 

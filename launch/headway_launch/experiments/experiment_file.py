@@ -101,5 +101,5 @@ def _content(path: Path) -> dict[str, Any]:
     if not content or not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
         raise HeadwayError(f"{path} must hold keys of an experiment, such as env: bus (`headway list keys`)")
     if "hydra" in content:
-        raise HeadwayError(f"{path}: hydra is no key of an experiment; remove it")
+        raise HeadwayError(f"{path}: hydra is not a key of an experiment; remove it")
     return {str(key): value for key, value in content.items()}

@@ -85,5 +85,5 @@ def _from_run(root: Path, parent: str) -> str:
         f"{use:,} {unit}" if isinstance(use, int) else f"{use:,.4g} {unit}" for unit, use in used.items()
     ]
     cost = f", whose {', '.join(costs)} are not in these results" if costs else ""
-    shared = "; all its seeds share that start, whose variation the intervals leave out"
+    shared = "; all its seeds share that start, so the intervals do not include its variation"
     return f"{line} ({record.algorithm} on {record.environment}){cost}{shared}"

@@ -99,7 +99,7 @@ class StudyProgress:
         if earlier and spec.for_policies != spec:
             raise HeadwayError(
                 f"study {self.experiment.config.study} holds seeds of an earlier version, whose policies act "
-                f"in the units of {spec.name}, not in [-1, 1]; set study to another name to train all anew"
+                f"in the units of {spec.name}, not in [-1, 1]; set another study name to train all again"
             )
 
     def _require_whole_stacks(self) -> None:

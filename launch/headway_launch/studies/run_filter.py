@@ -32,7 +32,9 @@ _NAME = re.compile(r"[-+]?0[0-9]|.*_")
 _COMPARISON = re.compile(r"[<>=]|\b(in|like|glob|between|is)\b", re.IGNORECASE)
 _SORT_KEY = re.compile(r"(?P<field>\S+)(?P<direction>\s+(asc|desc))?", re.IGNORECASE)
 _KEYWORDS = {"and", "or", "not", "in", "is", "null", "between", "like", "glob"}
-_FORMS = "write FIELD<VALUE, <=, >, >=, = or !=, joined by and or or: --where 'final_reward>300 and seed<10'"
+_FORMS = (
+    "write FIELD<VALUE, <=, >, >=, = or !=, joined by `and` or `or`: --where 'final_reward>300 and seed<10'"
+)
 _FIELDS = {item.name: item.type in (int, float, float | None) for item in fields(RunRow)}
 """The fields of the index, and whether their values are numbers."""
 

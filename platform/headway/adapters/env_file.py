@@ -28,7 +28,7 @@ class EnvFile:
         if not file.is_absolute():
             raise HeadwayError(f"env.id={path}: a stored path must be absolute; correct it to use the run")
         if not file.is_file():
-            raise HeadwayError(f"env.id={path}: there is no such file; if a run used it, put it back there")
+            raise HeadwayError(f"env.id={path}: there is no such file; if a run used it, restore the file")
         try:
             return cls(path, file.read_bytes())
         except OSError as error:
@@ -76,8 +76,8 @@ def require_unchanged(env_id: str, digest: str | None) -> None:
     """
     if is_file_id(env_id) and digest not in (None, EnvFile.read(env_id).digest):
         raise HeadwayError(
-            f"{env_id} has changed since its digest {digest} was stored: put the file back to go on, or "
-            "train it anew as another cell"
+            f"{env_id} has changed since its digest {digest} was stored: restore the file to continue, "
+            "or train the new version as another cell"
         )
 
 

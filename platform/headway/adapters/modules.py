@@ -219,7 +219,7 @@ def _outside(
     name, (low, high) = batch.spec.agents[agent], bounds[:, agent, place]
     return (
         f"{module}: agent '{name}' observed {values[agent, place]:g} at step {step}, outside "
-        f"its observation_space ({low:.4g} to {high:.4g} in place {place}); correct one of them",
+        f"its observation_space ({low:.4g} to {high:.4g} at index {place}); correct one of them",
     )
 
 

@@ -259,7 +259,7 @@ class ParallelEnvBatch:
 
     def _malformed(self, form: str, error: Exception) -> HeadwayError:
         return HeadwayError(
-            f"environment '{self._spec.name}' gave an answer at step {self._steps} that cannot be read "
+            f"environment '{self._spec.name}' returned a value at step {self._steps} that cannot be read "
             f"({one_line(error)}); return {form}, each a dictionary by agent, and list the "
             "live agents in `agents`"
         )
@@ -330,7 +330,7 @@ class ParallelEnvBatch:
             self._require_known("an observation", observations)
             shapes = {agent: np.shape(observation) for agent, observation in observations.items()}
             raise HeadwayError(
-                f"environment '{self._spec.name}' gave observations of shapes {shapes} where each agent "
+                f"environment '{self._spec.name}' returned observations of shapes {shapes} where each agent "
                 f"should get {self._spec.observation_size} numbers; fix its observation_space"
             ) from error
 
@@ -351,17 +351,17 @@ class ParallelEnvBatch:
         for agent in given:
             if agent not in self._index:
                 raise HeadwayError(
-                    f"environment '{self._spec.name}' gave {what} of agent '{agent}' at step {self._steps}, "
-                    "which is not in its possible_agents; list every agent that can appear"
+                    f"environment '{self._spec.name}' returned {what} for agent '{agent}' at step "
+                    f"{self._steps}, which is not in its possible_agents; list every agent that can appear"
                 )
 
     def _require_given(self, what: str, given: Mapping[str, Any], due: NDArray[np.bool_]) -> None:
         for index in np.flatnonzero(due):
             if (agent := self._spec.agents[index]) not in given:
                 raise HeadwayError(
-                    f"environment '{self._spec.name}' gave no {what} of agent '{agent}' at step "
-                    f"{self._steps}; give one for every agent that is alive, and a last observation to one "
-                    "that is truncated"
+                    f"environment '{self._spec.name}' returned no {what} for agent '{agent}' at step "
+                    f"{self._steps}; return one for every agent that is alive, and a last observation "
+                    "for one that is truncated"
                 )
 
     def _slot_rewards(self, rewards: Mapping[str, float], live: Sequence[str] | None) -> list[float]:
@@ -375,8 +375,8 @@ class ParallelEnvBatch:
         if any(reward != team and isfinite(reward) for reward in rewards_given):
             listed = ", ".join(f"{agent} {rewards[agent]:g}" for agent in acting_agents if agent in rewards)
             raise HeadwayError(
-                f"environment '{self._spec.name}' should give all agents the same reward and gave {listed} "
-                f"at step {self._steps}; set env.shared_reward=false"
+                f"environment '{self._spec.name}' should give all agents the same reward but returned "
+                f"{listed} at step {self._steps}; set env.shared_reward=false"
             )
         return [rewards.get(agent, team) if agent in acting_agents else team for agent in agents]
 
@@ -458,8 +458,9 @@ class ParallelEnvBatch:
             if "action_mask" in info:
                 if masks is None:
                     raise HeadwayError(
-                        f"environment '{self._spec.name}' gave an action_mask of agent '{agent}' at step "
-                        f"{self._steps} and none after its first reset; give one after every reset and step"
+                        f"environment '{self._spec.name}' returned an action_mask for agent '{agent}' at "
+                        f"step {self._steps} but none after its first reset; return one after every reset "
+                        "and step"
                     )
                 masks[copy, index] = info["action_mask"]
 
@@ -468,7 +469,7 @@ class ParallelEnvBatch:
         outcome = self._outcome
         if how not in ("terminated", "truncated"):
             raise HeadwayError(
-                f"environment '{self._spec.name}' gave {how!r} as slot_ended of agent "
+                f"environment '{self._spec.name}' returned {how!r} as slot_ended of agent "
                 f"'{self._spec.agents[index]}'; write terminated or truncated"
             )
         if outcome.terminated[copy, index] or outcome.truncated[copy, index]:
@@ -505,7 +506,7 @@ def _num_actions(spec: EnvSpec) -> int:
             return n
         case MultiDiscrete(nvec=nvec):
             return sum(nvec)
-    raise HeadwayError(f"environment '{spec.name}' gives action masks for Box actions; leave them out")
+    raise HeadwayError(f"environment '{spec.name}' returns action masks for Box actions; omit them")
 
 
 def _state_size(env: ParallelEnv) -> int:

@@ -325,7 +325,7 @@ def _wrong_type(wanted: str, value: object, key: str) -> HeadwayError:
     if wanted.startswith("list") and isinstance(value, str) and value.isidentifier():
         hint = f"; write {key}=[{value}]"
     article = "a " if wanted.startswith(("number", "whole number", "list", "mapping")) else ""
-    return HeadwayError(f"{key}={shown(value)} is {kind}, where {article}{wanted} is wanted{hint}")
+    return HeadwayError(f"{key}={shown(value)} is {kind}, where {article}{wanted} is expected{hint}")
 
 
 def _number_hint(text: str, wanted: str) -> str:

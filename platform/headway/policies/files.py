@@ -34,7 +34,7 @@ def _npz_bytes(description: PolicyDescription, arrays: Arrays) -> bytes:
 
 def _read_npz(path: Path) -> Policy:
     if not zipfile.is_zipfile(path):  # numpy would advise to load it unsafely
-        raise ValueError("it is no npz file")
+        raise ValueError("it is not an npz file")
     with np.load(path, allow_pickle=False) as stored:
         description = PolicyDescription.from_json(str(stored[_ENTRY]))
         if description.network.hidden_layers > len(stored.files):
@@ -197,6 +197,6 @@ def read_policy(path: Path) -> Policy:
         raise
     except Exception as error:  # what the libraries raise for damaged files has no common type
         raise HeadwayError(
-            f"{path} is damaged or is no policy: export it again with `headway export` ({one_line(error)})"
+            f"{path} is damaged or not a policy: export it again with `headway export` ({one_line(error)})"
         ) from error
     return policy

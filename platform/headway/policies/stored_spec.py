@@ -28,7 +28,7 @@ def space_of(content: Mapping[str, Any]) -> ActionSpace:
         case "Box":
             low = tuple(-inf if x is None else float(x) for x in values["low"])
             return Box(low, tuple(inf if x is None else float(x) for x in values["high"]))
-    raise ValueError(f"{name} is no action space")
+    raise ValueError(f"{name} is not an action space")
 
 
 def spec_json(spec: EnvSpec) -> dict[str, Any]:

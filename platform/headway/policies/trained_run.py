@@ -85,7 +85,9 @@ class TrainedRun:
 
 def _prepared_spec(config: EnvConfig) -> EnvSpec:
     if is_file_id(config.id):
-        raise HeadwayError(f"the run's plan lacks the specification of {config.id}, which is not run for it")
+        raise HeadwayError(
+            f"the run's plan lacks the specification of {config.id}, whose code is not run here"
+        )
     env = chosen_env(config)
     prepared = env.entry.prepare(build(env.entry.config, config.args, "env.args", config.id))
     with closing(env.entry.make(prepared, 1)) as one:

@@ -81,6 +81,6 @@ def _error_line(
     of_agent = "" if quantity.endswith("state") else f" of agent {spec.agents[agent]}"
     value = values[copy, agent][~np.isfinite(values[copy, agent])][0]
     return (
-        f"environment {spec.name} gave {value} as {quantity}{of_agent} in {name_copy(copy)} at step {step}; "
-        "fix the environment"
+        f"environment {spec.name} returned {value} as {quantity}{of_agent} in {name_copy(copy)} at step "
+        f"{step}; fix the environment"
     )

@@ -352,7 +352,8 @@ class _Training:
             line = "workers' contributions are applied in order of arrival, which differs from run to run"
             self.report(
                 Notice(
-                    f"{line}: after iteration {self.iteration} its curve is not that of a run never stopped"
+                    f"{line}: after iteration {self.iteration} its curve differs from that of an "
+                    "uninterrupted run"
                 )
             )
         self._resume_episodes()
@@ -369,9 +370,7 @@ class _Training:
         self.episodes_restarted = any(snapshot is None for snapshot in snapshots)
         if self.episodes_restarted:
             name, iteration = self.job.spec.name, self.iteration
-            self.report(
-                Notice(f"{name} has no snapshots: its episodes start anew after iteration {iteration}")
-            )
+            self.report(Notice(f"{name} has no snapshots: its episodes restart after iteration {iteration}"))
 
     def _wall_s(self) -> float:
         """Seconds of training so far, earlier sessions included."""

@@ -60,7 +60,8 @@ class SynchronousMode:
         """
         if rule_iterations >= iterations:
             raise ValueError(
-                f"the rule acts in {rule_iterations} of {iterations} iterations; leave one to learn"
+                f"the rule acts in {rule_iterations} of {iterations} iterations; leave at least one "
+                "for learning"
             )
         self.learner, self.collector = learner, collector
         self.rule_iterations, self.start = rule_iterations, start

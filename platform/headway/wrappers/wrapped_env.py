@@ -172,8 +172,8 @@ def _prepare(
             continue
         if entry.parallel_env is None:
             raise HeadwayError(
-                f"{wrapper.path}: {wrapper.name} has no batched form, and {name} no ParallelEnv for "
-                "SuperSuit to wrap; leave it out"
+                f"{wrapper.path}: {wrapper.name} has no batched form, and {name} has no ParallelEnv "
+                "for SuperSuit to wrap; leave it out"
             )
         # Batched forms found so far are inside this wrapper, so they move to the ParallelEnv too.
         unbatched, batched = wrapper.name, []
@@ -223,7 +223,7 @@ def _adapter_options(
     env = entry.make(prepared, 1)
     spec = env.spec
     env.close()
-    lost = "; it has no snapshots: episodes start anew on resume" if spec.snapshots else ""
+    lost = "; it has no snapshots: episodes restart on resume" if spec.snapshots else ""
     line = f"{unbatched} has no batched form: {name} is played as a ParallelEnv, one copy after another{lost}"
     options = AdapterOptions(
         shared_reward=spec.shared_reward,
@@ -242,8 +242,8 @@ def _rule_behind(name: str, own: RuleEntry) -> RuleEntry:
         rule = own.make(wrapped.prepared)
         if not (wrapped.shows_native or isinstance(rule, RandomRule)):
             raise HeadwayError(
-                f"rule {name!r} of {wrapped.name} cannot look behind these wrappers; leave out the rule, or "
-                "the wrappers without a batched form"
+                f"rule {name!r} of {wrapped.name} cannot inspect the environment behind these wrappers; "
+                "leave out the rule, or the wrappers without a batched form"
             )
         return RuleBehindWrappers(rule, through_parallel_env=wrapped.parallel is not None)
 

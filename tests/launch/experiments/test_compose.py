@@ -228,7 +228,7 @@ def test_lookahead_plays_beside_wrappers_of_rewards_as_without_them() -> None:
         prepared = experiment.prepare().prepared
         rows.append(evaluate_rule(experiment.env.make, make, prepared, 3, 2))
     assert rows[0] == rows[1]
-    with pytest.raises(HeadwayError, match="without wrappers other than of rewards"):
+    with pytest.raises(HeadwayError, match="without wrappers other than reward wrappers"):
         compose([*words, "env.wrappers=[agent_indicator_v0]"]).prepare()
 
 

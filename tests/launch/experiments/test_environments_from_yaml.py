@@ -166,7 +166,7 @@ def test_wrappers_that_hide_or_do_not_fit_are_named_before_training(wrappers: st
         ),
         (
             ("env=trivial", "env.wrappers=frame_stack_v1"),
-            r"is text, where a list is wanted; write env.wrappers=\[frame_stack_v1\]",
+            r"is text, where a list is expected; write env.wrappers=\[frame_stack_v1\]",
         ),
         (("env=trivial", "env.wrappers=[{name: clip_reward_v0, _target_: x}]"), "_target_.* is not allowed"),
         (("env=os.path",), "os is not an installed package that depends on PettingZoo"),
@@ -241,7 +241,7 @@ def test_the_cost_of_a_wrapper_without_a_batched_form_is_printed_once(
     lines = [line for line in capsys.readouterr().err.splitlines() if "no batched form" in line]
     assert lines == [
         "headway: delay_observations_v0 has no batched form: matrix is played as a ParallelEnv, one copy "
-        "after another; it has no snapshots: episodes start anew on resume"
+        "after another; it has no snapshots: episodes restart on resume"
     ]
 
 
@@ -312,7 +312,7 @@ def test_rules_whose_inputs_wrappers_hide_are_left_out_in_one_line(
         assert "rule random" in printed.out
         assert "rule optimal" not in printed.out
         [line] = [line for line in printed.err.splitlines() if "optimal" in line]
-        assert line.startswith("headway: left out: rule 'optimal' of trivial cannot look behind")
+        assert line.startswith("headway: left out: rule 'optimal' of trivial cannot inspect")
 
     def play(*_: object) -> None:
         raise AssertionError("played before the rules were checked")
@@ -321,7 +321,7 @@ def test_rules_whose_inputs_wrappers_hide_are_left_out_in_one_line(
     for words in (["compare", "default"], ["evaluate", name]):
         assert run([*words, "--episodes", "2", "--rules", "random,optimal"]) == 2
         line = capsys.readouterr().err.splitlines()[-1]
-        assert line.startswith("headway: --rules: rule 'optimal' of trivial cannot look behind")
+        assert line.startswith("headway: --rules: rule 'optimal' of trivial cannot inspect")
         assert "evaluation.rules" not in line
 
 

@@ -107,10 +107,10 @@ def test_files_of_the_project_can_be_given_by_path() -> None:
         ("env: trivial\ndefaults: {a: b}", "bad.yaml: defaults must be a list"),
         ("env: trivial\ndefaults: [override /algo: mapo]", "mapo"),
         ("env: trivial\nalgo: ippo\nsede: 3", "sede is not a key of the experiment; did you mean seed?"),
-        ("env: trivial\nalgo: {name: ippo, lr: high}", "algo.lr='high' is text, where a number is wanted"),
+        ("env: trivial\nalgo: {name: ippo, lr: high}", "algo.lr='high' is text, where a number is expected"),
         ("env: trivial\nstudy: {_target_: os.system}", "_target_"),
         ("algo: ippo", "no experiment is named"),
-        ("env: trivial\nhydra: {verbose: true}", "bad.yaml: hydra is no key of an experiment; remove it"),
+        ("env: trivial\nhydra: {verbose: true}", "bad.yaml: hydra is not a key of an experiment; remove it"),
         (
             "algo: mappo\nalgo.lr: 1",
             "algo.lr: keys of a file are nested; write algo: {name: NAME, lr: VALUE}",

@@ -464,7 +464,7 @@ def test_each_stage_has_its_environment_and_their_sum_is_the_budget() -> None:
         (["stages=[{env_steps: 9000, training_args: {densty: 1}}]"], r"stages\[0\].*did you mean .*density"),
         (["stages=[{env_steps: 9000, args: {density: 1}}]"], r"stages\[0\]\.args"),
         (["stages=[{training_args: {density: 1}}]"], r"stages\[0\]\.env_steps is missing and has no default"),
-        (["stages=9"], "stages=9 is a whole number, where a list of mappings is wanted"),
+        (["stages=9"], "stages=9 is a whole number, where a list of mappings is expected"),
         (
             ["env.args={density: 3, max_density: 3}", "algo=a3c", STAGES],
             "stages: the workers of a3c do not wait for each other, .* another algorithm, such as algo=ia2c",

@@ -92,7 +92,7 @@ def test_a_run_acts_in_scaled_units_and_a_study_keeps_one_kind(capsys: pytest.Ca
     with _earlier_version():
         pass
     assert run(["sweep", *TINY[1:], "seed=0,1"]) == 2
-    assert "set study to another name to train all anew" in capsys.readouterr().err
+    assert "set another study name to train all again" in capsys.readouterr().err
 
 
 def test_the_best_policy_is_played_and_exported_in_the_place_of_the_newest(

@@ -139,5 +139,5 @@ def test_unusable_files_are_one_line_errors(text: str, message: str, tmp_path: P
 
 def test_a_missing_file_is_a_one_line_error(tmp_path: Path) -> None:
     for path in (tmp_path / "gone.py", tmp_path):
-        with pytest.raises(HeadwayError, match="there is no such file; if a run used it, put it back there"):
+        with pytest.raises(HeadwayError, match="there is no such file; if a run used it, restore the file"):
             EnvFile.read(str(path))

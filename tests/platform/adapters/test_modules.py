@@ -150,7 +150,7 @@ def test_arguments_are_those_of_the_factory_with_its_defaults() -> None:
     ("arguments", "message"),
     [
         ({"n": 3}, r"env.args.n is not a key of mpe2.simple_spread_v3; did you mean env.args.N\?"),
-        ({"N": "three"}, "env.args.N='three' is text, where a whole number is wanted"),
+        ({"N": "three"}, "env.args.N='three' is text, where a whole number is expected"),
         ({"local_ratio": 2.0}, "simple_spread_v3 cannot be made with local_ratio=2.0: AssertionError: local"),
     ],
 )
@@ -231,7 +231,7 @@ def test_a_shared_reward_is_checked_against_the_rewards(zoo: str) -> None:
     assert env.spec.shared_reward
     CHECKS["shared reward"](partial(make_batch, make), play(partial(make_batch, make)))
     selfish = prepared(f"{zoo}.team_v0", team, local=True)
-    with pytest.raises(HeadwayError, match=r"all agents the same reward and gave agent_0 .*reward=false"):
+    with pytest.raises(HeadwayError, match=r"all agents the same reward but returned agent_0 .*reward=false"):
         play(lambda copies: make_batch(selfish, copies))
 
 
@@ -270,7 +270,7 @@ def test_an_observation_outside_its_space_is_noticed(zoo: str, seen: float, said
     """Rounding is none."""
     lines = prepared(f"{zoo}.paid_v0", pays=(1.0, 2.0), seen=seen).notices
     expected = (
-        f"agent 'b' observed {seen:g} at step 2, outside its observation_space (-9 to 2.147e+09 in place 1)"
+        f"agent 'b' observed {seen:g} at step 2, outside its observation_space (-9 to 2.147e+09 at index 1)"
     )
     assert [expected in line for line in lines] == [True] * said
 

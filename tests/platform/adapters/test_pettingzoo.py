@@ -174,7 +174,9 @@ def test_masks_that_come_late_are_an_error() -> None:
     env = batch(script)
     env.reset(seeds())
     env.step(NOTHING)
-    with pytest.raises(HeadwayError, match="'scripted' gave an action_mask of agent 'b' at step 2 and none"):
+    with pytest.raises(
+        HeadwayError, match="'scripted' returned an action_mask for agent 'b' at step 2 but none"
+    ):
         env.step(NOTHING)
 
 
@@ -202,7 +204,9 @@ def test_an_answer_of_another_form_is_an_error(place: str, fault: str, reason: s
     made = partial(parallel_env, fault, place, at=3, spares_session=False)
     env = ParallelEnvBatch(made, 1, "misbehaving")
     env.reset(seeds(1))
-    with pytest.raises(HeadwayError, match=r"'misbehaving' gave an answer at step \d that cannot") as failure:
+    with pytest.raises(
+        HeadwayError, match=r"'misbehaving' returned a value at step \d that cannot"
+    ) as failure:
         play_steps(env, 8)
     assert reason in str(failure.value)
     assert "return (observations, " in str(failure.value)
@@ -362,14 +366,16 @@ def test_a_live_agent_without_an_answer_is_an_error(name: str, shared_reward: bo
         env.reset(seeds(1))
         for _ in range(at - 1):
             env.step(NOTHING[:1])
-        message = f"'scripted' gave no {name} of agent '{agent}' at step {at}; give one for every agent"
+        message = (
+            f"'scripted' returned no {name} for agent '{agent}' at step {at}; return one for every agent"
+        )
         with pytest.raises(HeadwayError, match=message):
             env.step(NOTHING[:1])
 
 
 def test_an_agent_without_its_first_observation_is_an_error() -> None:
     env = batch(_leave_out("observations", "a", 0))
-    with pytest.raises(HeadwayError, match="gave no observation of agent 'a' at step 0"):
+    with pytest.raises(HeadwayError, match="returned no observation for agent 'a' at step 0"):
         env.reset(seeds())
 
 
@@ -387,7 +393,7 @@ def test_a_truncated_agent_without_its_last_observation_is_an_error(how: str) ->
 
     env = batch(script, agents_come_and_go=True)
     env.reset(seeds())
-    with pytest.raises(HeadwayError, match="gave no observation of agent 'b' at step 1"):
+    with pytest.raises(HeadwayError, match="returned no observation for agent 'b' at step 1"):
         env.step(NOTHING)
 
 
@@ -400,7 +406,9 @@ def test_an_answer_of_an_unknown_agent_is_an_error(name: str) -> None:
 
     env = batch(script)
     env.reset(seeds())
-    with pytest.raises(HeadwayError, match=rf"gave an? {name} of agent 'stranger' at step 1, which is not"):
+    with pytest.raises(
+        HeadwayError, match=rf"returned an? {name} for agent 'stranger' at step 1, which is not"
+    ):
         env.step(NOTHING)
 
 
@@ -469,5 +477,7 @@ def test_slot_ended_is_terminated_or_truncated() -> None:
 
     env = batch(end_it_somehow, agents_come_and_go=True)
     env.reset(seeds())
-    with pytest.raises(HeadwayError, match="gave True as slot_ended of agent 'b'; write terminated or tru"):
+    with pytest.raises(
+        HeadwayError, match="returned True as slot_ended of agent 'b'; write terminated or tru"
+    ):
         env.step(NOTHING)

@@ -357,7 +357,7 @@ def test_a_damaged_or_foreign_file_is_one_line(
     }
     path = tmp_path / f"policy{suffix}"
     path.write_bytes(contents[damage])
-    with pytest.raises(HeadwayError, match="is damaged or is no policy") as caught:
+    with pytest.raises(HeadwayError, match="is damaged or not a policy") as caught:
         read_policy(path)
     assert "\n" not in str(caught.value)
 
@@ -386,7 +386,7 @@ def test_a_description_that_does_not_fit_is_damage(
     content["network"][key] = value
     named: dict[str, Any] = {"headway.json": np.array(json.dumps(content)), **recurrent[1].arrays}
     np.savez(tmp_path / "policy.npz", **named)
-    with pytest.raises(HeadwayError, match="is damaged or is no policy"):
+    with pytest.raises(HeadwayError, match="is damaged or not a policy"):
         load_policy(tmp_path / "policy.npz")
 
 

@@ -306,7 +306,7 @@ def test_values_not_finite_are_reported(field: str, place: tuple[int, ...], line
     getattr(observed if hasattr(observed, field) else outcome, field)[place] = value
     with pytest.raises(HeadwayError) as failure:
         check_finite(SPEC, outcome, observed, 4, _name)
-    assert f"environment bridge gave {value} as {line}; fix the environment" in str(failure.value)
+    assert f"environment bridge returned {value} as {line}; fix the environment" in str(failure.value)
 
 
 def test_large_numbers_are_not_taken_for_infinity() -> None:

@@ -128,7 +128,7 @@ def test_without_snapshots_a_resumed_run_notifies_and_continues(tmp_path: Path) 
     faulty = FaultyVisitors, FaultConfig("kill", str(tmp_path), at=1, copies=2, times=0, snapshots=False)
     trained(job := _job("a3c", tmp_path, env=faulty), stop_after=2)
     events = trained(replace(job, resume=True))
-    assert "start anew" in _notices(events)[0]
+    assert "episodes restart after" in _notices(events)[0]
     started = [event for event in events if isinstance(event, Started)]
     assert started[0].episodes_restarted
     assert _staleness(logs_of(job)[0])[2:] == [(0.5, 1.0)] + [(1.0, 1.0)] * 3  # all start with one version
@@ -151,7 +151,7 @@ def test_a_worker_killed_in_mid_rollout_does_not_change_the_curve(whole: Log, tm
 @pytest.mark.parametrize(
     ("fault", "kind", "line"),
     [
-        ("nan reward", HeadwayError, r"gave inf as reward of agent visitor_2 in copy [13]"),
+        ("nan reward", HeadwayError, r"returned inf as reward of agent visitor_2 in copy [13]"),
         ("kill", WorkerFailedError, r"worker [01] failed twice \(killed by signal 9\)"),
     ],
 )
@@ -172,7 +172,7 @@ def test_a_resumed_run_in_order_of_arrival_notifies_that_its_curve_differs(tmp_p
     job = _job("a3c", tmp_path, "arrival", backend="process")
     trained(job, stop_after=3)
     (notice,) = _notices(trained(replace(job, resume=True)))
-    assert "after iteration 3 its curve is not that of a run never stopped" in notice
+    assert "after iteration 3 its curve differs from that of an uninterrupted run" in notice
     (log,) = logs_of(job)
     assert [row["env_steps"] for row in log["curve"]] == [str(i * COPIES * STEPS) for i in range(7)]
 

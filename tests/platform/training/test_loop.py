@@ -305,7 +305,7 @@ def test_without_snapshots_a_resumed_run_says_so_and_sees_new_episodes(tmp_path:
     job = job_of(tmp_path, _faulty(tmp_path, times=0, snapshots=False))
     trained(job, stop_after=2)
     events = trained(replace(job, resume=True), stop_after=2)
-    assert "start anew" in _of(Notice, events)[0].line
+    assert "episodes restart after" in _of(Notice, events)[0].line
     assert _of(Started, events)[0].episodes_restarted
     trained(replace(job, resume=True))
     first = [

@@ -84,7 +84,7 @@ def test_the_longest_batched_tail_stays_batched_with_a_notice() -> None:
     assert len(wrapped.batched) == 2
     assert wrapped.notices == (
         "delay_observations_v0 has no batched form: visitors is played as a ParallelEnv, one copy after "
-        "another; it has no snapshots: episodes start anew on resume",
+        "another; it has no snapshots: episodes restart on resume",
     )
     assert wrapped.batch(1).spec.observation_size == 2 * (4 + 6)
     within = prepared("visitors", ENTRIES["visitors"], KEEPS_THE_GAME["within delay"])
@@ -260,7 +260,9 @@ def test_a_rule_that_cannot_inspect_the_environment_is_an_error() -> None:
     """`trivial` has a hand-written ParallelEnv without a native batch."""
     wrapped = wrapped_entry("trivial", ENTRIES["trivial"], listed_wrappers([DELAY]))
     shared = wrapped.prepare(ENTRIES["trivial"].config())
-    with pytest.raises(HeadwayError, match="rule 'optimal' of trivial cannot look behind these wrappers"):
+    with pytest.raises(
+        HeadwayError, match="rule 'optimal' of trivial cannot inspect the environment behind these wrappers"
+    ):
         wrapped.rules["optimal"].make(shared)
     assert evaluate_rule(wrapped.make, wrapped.rules["random"].make, shared, root=0, episodes=1)
 

@@ -73,8 +73,8 @@ def compare_replay(
     """
     if made_up := _made_up(tables):
         raise HeadwayError(
-            f"SCENARIO: {made_up}, nothing was measured there; give a scenario of recorded trips, "
-            "as headway data sunt and, from calls.csv, headway data csv write"
+            f"SCENARIO: {made_up}, so there are no measurements; give a scenario of recorded trips, "
+            "written by headway data sunt or, from calls.csv, by headway data csv"
         )
     config = replace(config, start_hour=HOURS[0], end_hour=HOURS[1])
     prepared = prepare_replay(config, tables)

@@ -153,6 +153,6 @@ def _start(process: ForkServerProcess) -> None:
             cause = error
             time.sleep(_START_PAUSE_S)
     raise HeadwayError(
-        "the fork server, which starts worker processes, ends again and again (out of memory?); lower "
+        "the fork server, which starts worker processes, keeps ending (out of memory?); lower "
         "backend.workers or backend.parallel"
     ) from cause

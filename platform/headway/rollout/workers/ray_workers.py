@@ -182,8 +182,8 @@ class RayLauncher:
         if place.machine != self.here.machine and place.machine not in self.other_machines:
             if not self.other_machines:
                 self.notify(
-                    f"workers run on other machines, such as {place.host}: this run's CPU time and energy "
-                    "leave out what they use there"
+                    f"workers run on other machines, such as {place.host}: their CPU time and energy are "
+                    "not included in this run's"
                 )
             self.other_machines.add(place.machine)
 

@@ -61,7 +61,7 @@ def test_every_help_shows_examples_and_imports_nothing_heavy() -> None:
         (["plot", "line", "--seed", "-1"], ["--seed must be at least 0, not -1"]),
         (["describe", "line", "--lines", "-2"], ["--lines must be at least 0, not -2"]),
         (["realism", "nowhere"], ["there is no folder nowhere"]),
-        (["realism", "line"], ["SCENARIO: its trips are made up, nothing was measured there; give"]),
+        (["realism", "line"], ["SCENARIO: its trips are made up, so there are no measurements; give"]),
         (["realism", "line", "--days", "0"], ["--days must be at least 1"]),
         (["realism", "line", "algo.lr=3"], ["algo.lr: only env.args.* of the bus environment"]),
         (["realism", "line", "env.args.day_type=sunday"], ["env.args.day_type: give --day-type instead"]),

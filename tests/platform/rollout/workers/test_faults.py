@@ -259,7 +259,7 @@ def test_nan_is_reported_with_copy_agent_and_step(tmp_path: Path, fault: Fault, 
     plan = _plan(tmp_path, fault, at=13, times=1, copies={"serial": 4, "process": SHARD}[name])
     with collector_of(plan, name, workers=2) as collector:
         collector.begin()
-        with pytest.raises(HeadwayError, match=r"environment faulty gave (nan|inf)") as failure:
+        with pytest.raises(HeadwayError, match=r"environment faulty returned (nan|inf)") as failure:
             collector.collect(1, parameters_of(plan))
     line = _one_line(failure.value)
     assert not isinstance(failure.value, WorkerFailedError)
@@ -280,7 +280,7 @@ def test_nan_in_a_stack_is_reported_with_its_seed(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["serial", "process"])
 def test_nan_in_evaluation_is_reported_too(tmp_path: Path, name: str) -> None:
     plan = _plan(tmp_path, "nan reward", at=2, copies=10)
-    with collector_of(plan, name) as collector, pytest.raises(HeadwayError, match="gave inf as reward"):
+    with collector_of(plan, name) as collector, pytest.raises(HeadwayError, match="returned inf as reward"):
         collector.evaluate(7, 10, True, parameters_of(plan))
 
 

@@ -210,7 +210,7 @@ def test_ray_s_message_about_a_lost_actor_becomes_a_short_reason(message: str, r
 @pytest.mark.usefixtures("local")
 def test_an_error_of_the_user_s_is_raised_without_a_replacement(tmp_path: Path) -> None:
     notices: list[str] = []
-    with pytest.raises(HeadwayError, match="environment faulty gave inf as reward"):
+    with pytest.raises(HeadwayError, match="environment faulty returned inf as reward"):
         _collected(_faulty(tmp_path, "nan reward"), "ray", 1, notices)
     assert notices == []
 

@@ -54,9 +54,7 @@ def import_csv(folder: Path) -> Tables:
     }
     if is_there(folder, "calls"):
         if spare := [name for name in ("trips", "link_times") if is_there(folder, name)]:
-            raise HeadwayError(
-                f"FOLDER: {spare[0]}.csv says again what calls.csv records; remove one of them"
-            )
+            raise HeadwayError(f"FOLDER: {spare[0]}.csv repeats what calls.csv records; remove one of them")
         calls, dates = read_calls(folder, lines, counted)
         times = _smoothed_times(calls, network, counted)
         trips = trips_of_calls(calls, dates, _link_of_calls(network), times, counted)
@@ -71,7 +69,7 @@ def import_csv(folder: Path) -> Tables:
     if is_there(folder, "demand"):
         counts = _counts(folder, lines)
     elif calls is None or not has_counts(calls):
-        raise HeadwayError(f"FOLDER: {folder} states no passengers: {_MAKE}")
+        raise HeadwayError(f"FOLDER: {folder} has no passenger counts: {_MAKE}")
     else:
         counts = counts_of_calls(calls)
     source = "demand.csv" if is_there(folder, "demand") else "calls.csv"

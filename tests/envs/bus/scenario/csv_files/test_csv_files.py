@@ -185,7 +185,7 @@ def test_a_loop_needs_positions(example: Path) -> None:
 
 
 def test_trips_that_are_only_planned_are_no_measurement(example: Path) -> None:
-    with pytest.raises(HeadwayError, match=r"trips are made up or scheduled, nothing was measured there"):
+    with pytest.raises(HeadwayError, match=r"trips are made up or scheduled, so there are no measurements"):
         compare_replay(import_csv(example), BusConfig(), 1)
 
 
@@ -301,7 +301,7 @@ def test_a_partly_recorded_trip_is_completed_and_not_judged(tmp_path: Path) -> N
         ("2024-05-15,101,A,1,out,Market", "15.05.2024,101,A,1,out,Market", "'15.05.2024' is not a date YYYY"),
         ("101,A,1,out,Market", "101,A,1,back,Market", "row 3, column trip: '101' is a trip of another"),
         ("out,Market", "out,Station", "row 3, column stop: 'Station' is given twice for this trip"),
-        (",19,0", ",,0", "states no passengers: make demand.csv, or fill boardings and alightings in every"),
+        (",19,0", ",,0", "has no passenger counts: make demand.csv, or fill boardings and alightings in"),
     ],
 )  # fmt: skip
 def test_faults_of_recorded_calls(tmp_path: Path, old: str, new: str, said: str) -> None:
@@ -349,5 +349,5 @@ def test_records_without_calls_are_refused(tmp_path: Path) -> None:
 
 def test_plans_beside_records_are_refused(tmp_path: Path) -> None:
     _write(tmp_path, "stops", "lines", "calls", "trips")
-    with pytest.raises(HeadwayError, match=r"trips.csv says again what calls.csv records; remove one"):
+    with pytest.raises(HeadwayError, match=r"trips.csv repeats what calls.csv records; remove one"):
         import_csv(tmp_path)
