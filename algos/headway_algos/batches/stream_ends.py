@@ -62,6 +62,7 @@ class Truncations:
         table = np.stack(
             [np.pad(positions, (0, width - len(positions)), constant_values=-1) for positions in lists], 1
         )
+        # Padding refers to the first truncation, so that indexing is valid; `used` tells them apart.
         safe = np.maximum(table, 0)
         if width == 0:
             return cls(table, table, table >= 0)

@@ -170,6 +170,7 @@ def choose_categorical(
             last = first + options[k]
             if not alive[b]:
                 continue
+            # Relative to the largest logit, so that exp cannot overflow.
             most, best = -math.inf, first
             for a in range(first, last):
                 if (not masked or masks[b, a]) and logits[b, a] > most:

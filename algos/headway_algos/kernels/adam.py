@@ -40,6 +40,7 @@ def step_network(values: Floats, gradient: Floats, adam: Adam, p: int) -> float:
     limit = adam.bound / (norm + 1e-6) if adam.bound < math.inf else 1.0
     share = v.dtype.type(1.0 if limit >= 1 else limit)
     adam.counts[p] += 1
+    # The bias corrections of both moments are applied to the step, as in torch.
     step = v.dtype.type(adam.lr / (1 - adam.decays[0] ** adam.counts[p]))
     scale = v.dtype.type(1 / math.sqrt(1 - adam.decays[1] ** adam.counts[p]))
     for i in range(len(v)):

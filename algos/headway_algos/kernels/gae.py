@@ -25,6 +25,8 @@ def _write_advantages(
         next_value = values[steps, i] if present[steps, i] else 0.0
         next_advantage = 0.0
         for t in range(steps - 1, -1, -1):
+            # Step t + 1 belongs to another stream; a truncated return continues with the value of its last
+            # observation.
             if terminated[t, i] or truncated[t, i]:
                 next_value = 0.0 if terminated[t, i] else final_values[t, i]
                 next_advantage = 0.0
@@ -33,6 +35,8 @@ def _write_advantages(
                 advantages[t, i] = target - values[t, i] + gamma * gae_lambda * next_advantage
                 next_value, next_advantage = values[t, i], advantages[t, i]
             else:
+                # An absent agent has no action to credit: everything is passed on to its last action before,
+                # discounted by gamma only, because lambda decays per action and not per step.
                 advantages[t, i] = 0.0
                 next_value, next_advantage = target, gamma * next_advantage
 

@@ -43,6 +43,8 @@ def multiply_jacobian(
             block, n = stored[p, start // ROWS], padded(rows)
             for layer in range(len(layers)):
                 ins, outs, weights, biases = numbers(layers[layer])
+                # The layer's outputs change by dW x + W dx + db: `change` becomes dW x, `added` W dx. The
+                # inputs of the first layer are fixed.
                 change, before = net.errors[layer % 2], net.errors[(layer + 1) % 2]
                 multiply(direction[p], weights, ins, 1, outs, ins, block[top : top + ins], change, n)
                 if layer > 0:

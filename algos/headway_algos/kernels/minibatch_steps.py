@@ -156,11 +156,14 @@ def _surrogate_derivatives(
     kl, clipped = ZERO, ZERO
     for t in range(n):
         ratio = ratios[t]
+        # Schulman's low-variance estimate, as in `PPOLoss`.
         kl += ratio - ONE - log_ratios[t]
         clipped += ONE if ratio < low or ratio > high else ZERO
         bounded = low if ratio < low else ratio
         bounded = high if bounded > high else bounded
         gained = ratio * advantages[t]
+        # Where the clipped term is the smaller one, the loss is constant; elsewhere d ratio / d
+        # log-probability is the ratio itself.
         advantages[t] = ZERO if gained > bounded * advantages[t] else -weight * gained
     reported[0] += weight * kl
     reported[2] += weight * clipped
@@ -186,17 +189,21 @@ def _add_gaussian_gradient(
         for t in range(n):
             standardised[t] = (box.actions[rows[t], a] - mean[t]) * inverse
             log_ratios[t] -= HALF * standardised[t] * standardised[t] + constant
+        # The entropy of a Gaussian depends on its spread only: it is the same for every row.
         reported[1] += weight * n * (constant + HALF)
     _surrogate_derivatives(net, data, weight, n, reported)
     log_prob_gradients = net.scratch[_ADVANTAGE]
     for a in range(size):
         mean, standardised = net.activations[top + a], last[a]
         inverse = np.float32(math.exp(-log_std[a]))
+        # d entropy / d log std is 1.
         log_std_derivative = -np.float32(data.entropy_coeff) * weight * n
         for t in range(n):
             log_std_derivative += log_prob_gradients[t] * (standardised[t] * standardised[t] - ONE)
+            # In place: `standardised` is the row of `net.errors` from which `backward` starts.
             standardised[t] *= log_prob_gradients[t] * inverse
         if len(data.old_outputs) > 0:
+            # Derivatives of KL(old || new) by the new mean and log standard deviation.
             variance_ratio = np.float32(math.exp(2 * (box.old_log_std[p, a] - log_std[a])))
             kl_weight = data.kl_coeff[p] * weight
             for t in range(n):
@@ -207,6 +214,7 @@ def _add_gaussian_gradient(
     backward(net, p, n)
 
 
+# Far below any logit, but finite: -inf would make the entropy 0 x inf = NaN.
 _FORBIDDEN = np.float32(np.finfo(np.float32).min / 4)
 
 
@@ -228,6 +236,7 @@ def _normalise(
             scale[t] = logits[a, t] if logits[a, t] > scale[t] else scale[t]
     for a in range(size):
         for t in range(n):
+            # Relative to the largest logit, so that exp cannot overflow.
             logits[a, t] -= scale[t]
             probabilities[a, t] = logits[a, t]
         exp(probabilities[a], bits, powers, n)
@@ -282,6 +291,8 @@ def _add_categorical_gradient(
     kl_weight = data.kl_coeff[p] * weight if penalised else ZERO
     for a in range(size):
         for t in range(n):
+            # d loss / d logit_a = p_a (c (log p_a + H) - g + k) + g [a = u] - k p_old_a, with g = d loss / d
+            # log p(u), entropy bonus c and KL coefficient k; the last two terms are added below.
             probabilities[a, t] *= bonus * (logits[a, t] + entropies[t]) - log_prob_gradients[t] + kl_weight
     for t in range(n):
         probabilities[actions[rows[t]], t] += log_prob_gradients[t]
@@ -307,10 +318,12 @@ def _add_regression_gradient(
     for t in range(n):
         error = differences[t] * differences[t]
         total += bound if error > bound else error
+        # Beyond the bound the loss is constant; elsewhere its derivative is twice the difference.
         differences[t] *= ZERO if error > bound else weight + weight
     reported[0] += weight * total
     for a in range(net.layers[-1, 1]):
         for t in range(n):
+            # Values of actions that were not taken are not trained.
             last[a, t] = ZERO
     for t in range(n):
         last[data.taken[rows[t]] if chosen else 0, t] = differences[t]
@@ -337,6 +350,8 @@ def descend_gaussian(
             if n == 0:
                 continue
             _clear_gradient(net, p)
+            # The parts of a minibatch pass one after another, so that activations stay in the cache;
+            # gradients add up.
             part, weight = _rows_per_pass(n), np.float32(1 / n)
             for start in range(0, n, part):
                 rows = batches.rows[s, p, start : min(start + part, n)]

@@ -28,6 +28,7 @@ def write_moments(
             continue
         for d in range(size):
             mean[d] /= count
+        # In a second pass: the difference of sums of squares would cancel digits.
         for b in range(len(rows[p])):
             if chosen[p, b]:
                 for d in range(size):

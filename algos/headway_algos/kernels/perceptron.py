@@ -116,6 +116,7 @@ def forward(net: Perceptrons, p: int, rows: Floats, index: NDArray[np.int64]) ->
         row = rows[index[t]]
         for i in range(net.layers[0, 0]):
             net.activations[i, t] = row[i]
+    # Whole vectors of rows are computed: padding must be finite.
     for i in range(net.layers[0, 0]):
         for t in range(len(index), n):
             net.activations[i, t] = ZERO
@@ -135,6 +136,7 @@ def backward(net: Perceptrons, p: int, n: int) -> None:
     On entry `net.errors[L % 2]` holds d loss / d outputs, for L layers.
     """
     values, gradient, layers = net.values[p], net.gradient[p], net.layers
+    # Padding must not contribute to the sums over rows.
     for a in range(layers[-1, 1]):
         for t in range(n, padded(n)):
             net.errors[len(layers) % 2, a, t] = ZERO
@@ -149,11 +151,13 @@ def backward(net: Perceptrons, p: int, n: int) -> None:
             for t in range(n):
                 total += e0[t]
             gradient[biases + o] += total
+        # The inputs are data, which need no gradient.
         if layer == 0:
             break
         before = net.errors[layer % 2]
         multiply(values, weights, 1, ins, ins, outs, error, before, n)
         for i in range(ins):
+            # Either derivative follows from the activated value, so pre-activations need not be stored.
             g0, x0 = before[i], x[i]
             if net.activation == RELU:
                 for t in range(n):

@@ -65,6 +65,8 @@ class ReplayBuffer:
         owner = policies[order]
         counts = np.bincount(owner, minlength=len(self.filled))
         starts = np.cumsum(counts) - counts
+        # Position among the new transitions of the same policy: only the newest `capacity` are written,
+        # because one assignment must not write a slot twice.
         rank = np.arange(len(owner)) - starts[owner]
         fits = rank >= counts[owner] - self.capacity
         order, owner, rank = order[fits], owner[fits], rank[fits]

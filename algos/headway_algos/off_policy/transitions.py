@@ -101,6 +101,7 @@ class Spans:
         discounts = np.ones_like(returns)
         ends = np.full(returns.shape, steps)
         for t in range(steps - 1, -1, -1):
+            # The span of step t ends with this step if the stream ends or the agent decides at t + 1.
             arrives = over[t] | before_next[t]
             returns[t] = rewards[t] + gamma * np.where(arrives, 0, returns[t + 1])
             discounts[t] = gamma * np.where(arrives, ~terminated[t], discounts[t + 1])
@@ -136,6 +137,7 @@ class TransitionBuilder:
         copies, agents = np.divmod(decisions.streams, self.spec.num_agents)
         returns, discounts, ahead = decisions.returns, decisions.discounts, decisions.ahead
         for _ in range(self.n_step):
+            # Each decision reached uses up one of `ahead`; after the last one the transition is complete.
             at_decision = (ends < steps) & (ahead > 0)
             ahead = ahead - at_decision
             extended = at_decision & (ahead > 0)
@@ -186,6 +188,7 @@ class TransitionBuilder:
         if self.spec.has_action_mask:
             masks = last_known_masks(trajectory, (last_step, copies, agents), decisions.masks)
             decisions = replace(decisions, masks=masks)
+        # A transition that the iteration cuts off can bootstrap only from what the agent observed last.
         last_seen = steps - trajectory.alive[::-1].argmax(axis=0)
         ends = np.where(continues, last_seen[copies, agents], ends)
         complete = np.ones_like(continues)

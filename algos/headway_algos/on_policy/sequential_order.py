@@ -33,12 +33,14 @@ def sequential(
     policies, width = grouping.num_policies, grouping.width
     turns = np.stack([random.permutation(policies) for random in order_generators], axis=1)
     replicas, samples = len(order_generators), advantages.shape[1] // width
+    # Logarithms in float64: the product of many agents' ratios could underflow or overflow in float32.
     log_factor = torch.zeros(replicas, samples, dtype=torch.float64, device=advantages.device)
     info: dict[str, Tensor] = {}
     for turn in turns:
         chosen = np.arange(replicas) * policies + turn
         policies_now = torch.from_numpy(chosen).to(advantages.device)
         part, own_rows = update.narrow(policies_now), rows.narrow(policies_now)
+        # The factor belongs to a step and copy: it is the same for every agent of the policy.
         weighted = advantages[policies_now] * log_factor.exp().to(advantages.dtype).repeat(1, width)
         for name, value in part.improve(own_rows, weighted, [generators[p] for p in chosen]).items():
             info.setdefault(name, value.new_zeros(len(advantages))).index_copy_(0, policies_now, value)

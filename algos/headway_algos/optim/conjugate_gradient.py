@@ -34,6 +34,7 @@ def conjugate_gradient(
         step = torch.where(unsolved, squared / curvature, 0)
         solution, image = solution + step * direction, image + step * along
         residual = residual - step * along
+        # In exact arithmetic the residual would already be orthogonal to all earlier ones.
         basis = torch.stack(earlier, dim=1)
         residual = residual - (basis.transpose(1, 2) @ (basis @ residual[..., None]))[..., 0]
         new_squared = (residual**2).sum(1, keepdim=True)

@@ -110,6 +110,7 @@ class StackedKFAC:
             direction.copy_(torch.where(moves[:, None, None], averaged, direction))
         curvature = self._curvature(self.direction)
         self.pieces.clear()
+        # The largest eta with 1/2 eta^2 d^T F d within the bound.
         longest = (2 * self.bound * self.share**2 / curvature).sqrt()
         size = torch.where(moves, longest.clamp(max=self.lr * self.share), 0)
         changes = [size[:, None, None] * part for part in self.direction]

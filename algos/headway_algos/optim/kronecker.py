@@ -77,6 +77,7 @@ class KroneckerFactors:
         """Update the averages of the `active` (P,) networks, those with rows in the batch."""
         due = active & (self.counts % self.every == 0)
         self.counts[active] += 1
+        # The first batches count equally: with a fixed decay the initial zeros would dominate.
         share = np.where(active, np.maximum(1 / np.maximum(self.counts, 1), 1 - self.decay), 0)
         part = torch.from_numpy(share).to(self.averages[0])[:, None, None]
         for average, total in zip(self.averages, self.sums, strict=True):

@@ -105,6 +105,7 @@ def _observe_extended(
     out[PAPER_SIZE + 5 + (turn if turn < 2 else turn - 1)] = 1.0
     near, around = PAPER_SIZE + PATH_SIZE, traffic.around[row]
     out[near] = min(left / _NEAR_M, 1.0)
+    # 1 means far away or absent.
     out[near + 1 : near + NEAR_SIZE] = 1.0
     if around[0] >= 0:
         gap = around[1] + MIN_GAP_M
@@ -163,6 +164,7 @@ def _observe_conflicts(
         if other < 0:
             break
         if crossing.foes[link, traffic.link[other]]:
+            # Ranked by time, because a fast vehicle farther away may arrive first.
             left = ROAD_M - traffic.position[other]
             _insert(arrival, rows, left / max(traffic.speed[other], _MIN_RANKING_SPEED), int(other))
     for lane in range(NUM_LANES):
@@ -202,6 +204,7 @@ def _fill_state(crossing: Record, traffic: Traffic, count: int, events: StepEven
     waiting to enter."""
     state = account.state
     state[:] = 0.0
+    # Counts are divided by 10, so that features are of the order of 1; mean speeds follow from them below.
     width = 3 * CELLS + 4
     for row in range(count):
         link, position, speed = traffic.link[row], traffic.position[row], traffic.speed[row]
@@ -270,6 +273,7 @@ def _evaluate_rewards(
             automated += 1
             automated_speeds += speed
             headways += _headway_shortfall(traffic, row)
+    # The norm of the deviations from the target speed, relative to that of standing vehicles.
     aim = TARGET_SPEED * np.sqrt(count)
     nearness = max(aim - np.sqrt(squares), 0.0) / (aim + _EPSILON) if count else 0.0
     fullest = STEP_S * count
@@ -376,6 +380,7 @@ def _add_to_sums(traffic: Traffic, count: int, account: Record) -> None:
 def _observe_all(crossing: Record, traffic: Traffic, count: int, scratch: Record, slots: Slots) -> None:
     """Fill the observations and the alive mask of all slots, from V vehicles."""
     for slot in range(len(slots.alive)):
+        # Rows of other slots are 0 already.
         if slots.alive[slot]:
             slots.observations[slot] = 0.0
             slots.alive[slot] = False

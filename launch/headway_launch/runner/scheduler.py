@@ -175,6 +175,7 @@ class Scheduler:
         try:
             self._running[id(job)] = _Running(job, self._start_training(job))
         except RunTakenError as error:
+            # Another session has begun these runs since this one was planned.
             job.progress.status, job.elsewhere = "elsewhere", error.directories
         except HeadwayError as error:
             self._take(job, Failed(str(error), traceback.format_exc()), shown)
@@ -236,6 +237,7 @@ class Scheduler:
         if progress.status in OVER:
             return
         if training.lost and not asked_to_stop and job.can_restart():
+            # The record and the energy account of the lost process are completed before the next one begins.
             progress.status = "stopped"
             self._ended(job)
             job.plan_restart(self._shares)

@@ -74,6 +74,7 @@ class Lookahead:
         futures = self._draw.integers(2**63, size=self._samples).astype(np.uint64)
         values = np.zeros((env.num_copies, self._samples))
         values[rows], acting = self._simulate(env, rows, actions[rows], futures)
+        # Agents whose action the environment would ignore have nothing to choose.
         untried[rows] &= acting[..., None]
         for agent in range(env.spec.num_agents):
             copies, choices = np.nonzero(untried[:, agent])

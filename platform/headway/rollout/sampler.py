@@ -131,6 +131,7 @@ class Sampler:
             check_finite(spec, outcome, observed, t + 1, self._name_copy)
             for name in ("rewards", "terminated", "truncated", "acting"):
                 views[name][t] = self._by_replica(getattr(outcome, name))
+            # Streams end rarely, and final observations are as large as all observations of a step.
             if np.count_nonzero(outcome.terminated) or np.count_nonzero(outcome.truncated):
                 views["final_observations"][t] = self._by_replica(outcome.final_observations)
                 views["final_states"][t] = self._by_replica(outcome.final_states)

@@ -33,6 +33,7 @@ def write_durably(
                 write(stream)
                 stream.flush()
                 os.fsync(stream.fileno())
+            # mkstemp creates files that only their owner can read.
             temporary.chmod(0o644)
             temporary.replace(path)
         except BaseException:

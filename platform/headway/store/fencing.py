@@ -53,6 +53,7 @@ def close_gates(directory: Path) -> None:
         except OSError as error:
             if error.errno not in _GONE:
                 raise HeadwayError(f"cannot rename {gate} ({error.strerror}): remove it by hand") from error
+    # Also gates that a process closed before it was killed.
     for gate in directory.glob(f"{_SHUT}*"):
         _remove(gate)
 

@@ -188,6 +188,7 @@ class _Training:
             ends = self.iteration in self.config.stage_ends
             if ends or self.iteration % self.config.store.checkpoint_every == 0:
                 self._checkpoint()
+            # After the checkpoint, whose snapshots belong to the workers of the stage that ends.
             if ends and self.iteration < total:
                 self._enter_next_stage()
         if self.saved_iteration < self.iteration:
@@ -204,6 +205,7 @@ class _Training:
 
     def _enter_next_stage(self) -> None:
         """Replace the workers by those of the next stage."""
+        # Workers of an ended stage still count in CPU seconds, but no longer in memory.
         self.ended += Usage(self.backend.usage().cpu_seconds)
         self.backend.close()
         self.stage += 1
@@ -218,6 +220,7 @@ class _Training:
         self._log_episodes(done.episodes)
         at = self.iteration, self.env_steps
         self.report(IterationFinished(*at, self._usage(), self._wall_s(), done.collect_s, done.learn_s))
+        # Also where training changes, so that the curve has a point there.
         due = self.iteration in (
             *self.config.stage_ends,
             self.job.plan.rule_iterations,

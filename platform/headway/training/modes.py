@@ -86,6 +86,7 @@ class SynchronousMode:
         if not self.start.anchors:
             return
         assert isinstance(self.learner, AnchoredLearner)
+        # The coefficient falls from the first iteration of learning, not of the rule, to the end.
         kl_coeff = self.start.kl_coeff * (1 - progress) / self.learning_share
         self.learner.anchor(kl_coeff, iteration <= self.rule_iterations + self.start.critic_iterations)
 
@@ -125,6 +126,7 @@ class AsynchronousMode:
             arrived = time.monotonic()
             assert done.contribution is not None
             self.learner.apply(done.contribution, iteration, progress)
+            # At once, so that the worker samples while the learner waits for the others.
             self._assign(worker, before + turn + 1)
             staleness.append(before + turn - task.updates)
             metrics.append(done.contribution.metrics)

@@ -87,6 +87,8 @@ class CounterfactualCritic(RegressionCritic):
         target_hidden_states = self.target.replay(target_inputs, trajectory, self.critic_inputs, self.layout)
         of_each = self._action_values(self.target, target_inputs, batch, target_hidden_states)
         target_values = np.take_along_axis(of_each, taken, axis=-1)[..., 0]
+        # The generalised advantage of Q' plus Q' is its TD(lambda) target, with ends and absences treated
+        # alike.
         target_advantages, present = lambda_advantages(
             trajectory, self.critic_inputs, target_values, (probabilities * of_each).sum(axis=-1), value_of,
             self.config, self.spec, self.layout.replicas,
@@ -108,6 +110,7 @@ class CounterfactualCritic(RegressionCritic):
     def fit(self, estimate: CriticEstimate, iteration: int) -> dict[str, NDArray[np.float64]]:
         """Train the critic on the TD(lambda) targets, and copy it to the target network if due."""
         metrics = super().fit(estimate, iteration)
+        # The target network has hidden states of its own parameters, until these are replaced.
         self.target.carry(estimate.target_hidden_states)
         if self.fits % self.config.target_every == 0:
             self.target.load_state_dict(self.networks.state_dict())

@@ -65,6 +65,7 @@ def lambda_advantages(
             of_teammates, known = with_teammates_values(final, batch.in_joint, teams)
             final = np.where(known, of_teammates, final)
         final_values = truncations.put(final, final_values.shape)
+    # Where the iteration ends but the return does not, an absent agent needs a value to bootstrap from.
     here, known = present[:-1], present[-1]
     if not known.all():
         if teams:

@@ -71,6 +71,7 @@ class TRPO:
 
         solution, image = conjugate_gradient(damped, gradient, config.cg_iterations)
         curvature = (solution * image).sum(1, keepdim=True)
+        # A step is proportional to the root of its bound, so this multiplies the step by `share`.
         bound = config.kl_bound * self.share**2
         step = torch.where(curvature > 0, (2 * bound / curvature).sqrt() * solution, 0)
         info = self._search(batch, surrogate, step, (step * gradient).sum(1), bound)
@@ -109,11 +110,13 @@ class TRPO:
     ) -> dict[str, Tensor]:
         """Halve each policy's step (P, V) until it is accepted, then apply it; return metrics (P,)."""
         kl, accepted = torch.zeros_like(surrogate), torch.zeros_like(surrogate)
+        # Without an expected gain, as for policies without rows, there is nothing to search.
         searching = torch.nonzero(expected > 0)[:, 0]
         for halving in range(self.config.line_search_steps + 1):
             if len(searching) == 0:
                 break
             size = 0.5**halving
+            # On copies, so that a policy that accepts no step keeps its parameters to the last bit.
             after = self.actor.narrow(searching)
             log_std = None if self.actor.log_std is None else self.actor.log_std.detach()[searching]
             with torch.no_grad():

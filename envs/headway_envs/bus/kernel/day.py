@@ -37,6 +37,7 @@ def draw_congestion(k: Record, world: World, c: int) -> None:
         mean_factor = 1.0 + 0.5 * k.evening_peak * shape if k.weekday else 1.0
         factor = day_factor * (1.0 + evening * shape) / mean_factor
         world.congestion[c, edge] = factor * unit_lognormal(network, k.network_sd)
+        # Scaled such that the variance stays 1.
         innovation = math.sqrt(1.0 - correlation * correlation) * normal(key, NETWORK, edge + 1, 0)
         network = correlation * network + innovation
 
@@ -118,6 +119,7 @@ def end_day(net: Network, k: Record, world: World, c: int, metrics: NDArray[np.f
     metrics[0] = day.wait / max(day.boarded + still_waiting, 1) / 60.0
     metrics[1] = quantile_of_counts(world.waits[c], 0.95) / 60.0
     metrics[2] = day.captive_wait / max(day.captive_boarded, 1.0) / 60.0
+    # Random arrivals wait E[h^2] / (2 E[h]) on average for headways h, and E[h h*] / (2 E[h]) at targets h*.
     metrics[3] = (day.headway_squared - day.headway_target) / max(2.0 * day.headway, 1.0) / 60.0
     metrics[4] = math.sqrt(spread) / max(mean_ratio, 1e-9)
     metrics[5] = day.bunched / headways
@@ -125,6 +127,7 @@ def end_day(net: Network, k: Record, world: World, c: int, metrics: NDArray[np.f
     metrics[7] = day.boarded
     metrics[8] = day.lost / max(day.arrived, 1)
     metrics[9] = day.load / loads / k.capacity
+    # Loads are integers: a quantile within a bin is rounded down.
     metrics[10] = min(math.floor(quantile_of_counts(world.loads[c], 0.95)), k.capacity) / k.capacity
     metrics[11] = day.ride / boarded / 60.0
     metrics[12] = 0.0

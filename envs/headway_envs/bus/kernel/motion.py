@@ -74,6 +74,8 @@ def charge_upkeep(k: Record, world: World, c: int, n: int, time: float, fuel_sha
     used = min(duration * k.fuel_per_s * fuel_share, slot.fuel)
     slot.fuel -= used
     world.days[c].fuel += used
+    # Breakdowns are a Poisson process with a rate that grows with wear: the bus breaks down when the
+    # integrated rate reaches the unit exponential number drawn by `renew`.
     slot.hazard += duration * k.hazard_per_s * math.exp(k.wear_growth * (1.0 - slot.uptime))
     slot.uptime = max(slot.uptime - duration * k.uptime_per_s, 0.0)
     slot.worked = time
@@ -132,6 +134,7 @@ def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         day.headway_squared += headway * headway
         day.headway_target += headway * target
     queue.last_departure = time
+    # Passengers who still wait when a bus leaves were left behind by a full bus.
     day.denied += queue.waiting
     queue.denied = queue.waiting
     day.loads += 1
@@ -141,6 +144,7 @@ def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         slot.trip_left = time
         world.departed[c, slot.trip] = True
         pattern, last = world.patterns[c, slot.pattern], net.pattern_trips[slot.pattern + 1]
+        # Trips may leave out of order: skip those that have left.
         while pattern.next_trip < last and world.departed[c, pattern.next_trip]:
             pattern.next_trip += 1
     slot.phase = DRIVING
@@ -167,6 +171,7 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         slot.block += 1
         schedule_next_trip(net, k, world, c, n, time, True)
     elif slot.fuel <= 0.0 or slot.hazard >= slot.hazard_limit:
+        # On arrival only, because a bus has no events between calls.
         day.breakdowns += 1
         slot.breakdowns += 1
         unload_passengers(net, k, world, c, n, time)
@@ -184,6 +189,7 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
 def leave_for_service(net: Network, k: Record, world: World, c: int, n: int, time: float) -> None:
     """Leave the line for the service centre. The bus will return to the same call."""
     slot = world.slots[c, n]
+    # The towing of a broken bus is counted as a breakdown, not as a visit.
     if slot.phase != BROKEN:
         world.days[c].visits += 1
     unload_passengers(net, k, world, c, n, time)
@@ -216,6 +222,7 @@ def return_to_line(net: Network, k: Record, world: World, c: int, n: int, time: 
     slot = world.slots[c, n]
     renew(k, world, c, n)
     slot.worked = time
+    # A bus that had not begun its trip still has to be dispatched.
     first = slot.call == net.pattern_calls[slot.pattern] and not world.departed[c, slot.trip]
     slot.phase = TERMINAL if first else STANDING
     world.event_time[c, n] = time

@@ -51,6 +51,7 @@ def update_queue(net: Network, k: Record, world: World, c: int, call: int, patte
     day, queue = world.days[c], world.queues[c, call]
     first = net.queue_first[call]
     room = net.queue_first[call + 1] - first
+    # Queues are updated only when they are read: most stops are idle most of the time.
     while queue.next_arrival <= time:
         arrival = queue.next_arrival
         u = uniform(day.key, PATIENCE, call, queue.drawn)
@@ -75,6 +76,7 @@ def update_queue(net: Network, k: Record, world: World, c: int, call: int, patte
                 world.arrived_at[c, first + kept] = world.arrived_at[c, first + i]
                 world.leaves_at[c, first + kept] = world.leaves_at[c, first + i]
             kept += 1
+            # Passengers left behind by a full bus are the first in the queue.
             denied += i < queue.denied
     day.lost += queue.waiting - kept
     queue.waiting = kept
@@ -107,6 +109,7 @@ def board(net: Network, k: Record, world: World, c: int, n: int, time: float) ->
     for i in range(boarding, queue.waiting):
         world.arrived_at[c, first + i - boarding] = world.arrived_at[c, first + i]
         world.leaves_at[c, first + i - boarding] = world.leaves_at[c, first + i]
+    # The queue is a prefix of its storage, so the others have moved up.
     queue.waiting -= boarding
     queue.denied = max(queue.denied - boarding, 0)
     day.boarded += boarding
@@ -136,6 +139,7 @@ def unload_passengers(net: Network, k: Record, world: World, c: int, n: int, tim
     requeued = min(slot.load, room)
     for _ in range(requeued):
         world.arrived_at[c, first + queue.waiting] = time
+        # Passengers put off a bus wait for the line's next bus, not for the competing service.
         world.leaves_at[c, first + queue.waiting] = np.inf
         queue.waiting += 1
     day.alighted += slot.load

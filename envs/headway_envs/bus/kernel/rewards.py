@@ -51,11 +51,13 @@ def service(net: Network, k: Record, world: World, c: int, line: int) -> float:
     for p in range(net.line_patterns[line], net.line_patterns[line + 1]):
         for call in range(net.pattern_calls[p], net.pattern_calls[p + 1] - 1):
             queue = world.queues[c, call]
+            # Other queues are empty and need no update.
             if queue.next_arrival <= now or queue.waiting > 0:
                 update_queue(net, k, world, c, call, p, now)
                 waiting += queue.waiting + queue.denied
     world.lines[c, line].waiting = waiting
     bins = net.regular_waiting.shape[1]
+    # The bin of the control interval that has just ended, also if `now` begins the next one.
     regular = max(net.regular_waiting[line, bin_of(now - 1.0, k.start_s, bins)], 1.0)
     return float(max(1.0 - waiting / regular, -3.0))
 

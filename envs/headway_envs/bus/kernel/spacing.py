@@ -31,10 +31,12 @@ def _set_place(net: Network, k: Record, world: World, c: int, n: int, now: float
     if slot.phase == DRIVING:
         begin = interpolate(net.nominal, slot.call, now)
         end = interpolate(net.nominal, slot.call + 1, now)
+        # Between calls the position follows from the share of the driving time that has passed.
         way = max(world.event_time[c, n] - slot.left, 1e-6)
         slot.place = begin + min((now - slot.left) / way, 1.0) * (end - begin)
     elif slot.call > net.pattern_calls[slot.pattern]:
         slot.place = interpolate(net.nominal, slot.call, now)
+    # A bus held at its terminal beyond the dispatch window counts as in service.
     due = now > net.trip_departure[slot.trip] + k.dispatch_window_s
     if world.departed[c, slot.trip] or due:
         slot.counted = MISSING_FROM_LINE if slot.phase == AWAY or slot.phase == BROKEN else COUNTED
@@ -82,6 +84,7 @@ def _set_spacing(net: Network, world: World, c: int, n: int, line: int, now: flo
     if behind == np.inf:
         following = _next_departure(net, world, c, slot.pattern, slot.trip)
         behind = slot.place + max(following - now, 0.0)
+    # The target at the time when a bus at this position left the first call.
     target = interpolate(net.target, slot.pattern, now - slot.place)
     slot.ahead = ahead / target if ahead < np.inf else np.nan
     slot.behind = behind / target if behind < np.inf else np.nan

@@ -51,9 +51,11 @@ def upkeep_potential(net: Network, k: Record, world: World, c: int, n: int) -> f
     burn, wear = k.fuel_per_s / k.fuel_capacity, k.uptime_per_s
     work = max(net.trip_work_left[net.slot_trips[slot.block]] - slot.place, 0.0)
     end = min(work, fuel / burn)
+    # Time until the first of both levels falls below the warning level, where m becomes negative.
     low = max(min((fuel - k.warning) / burn, (uptime - k.warning) / wear), 0.0)
     cost = k.breakdown_cost if work > fuel / burn else 0.0
     if end > low:
+        # Below it, m is (fuel + uptime) / 2 - 1, paid once per control interval.
         level = _level_integral(low, end, fuel, burn) + _level_integral(low, end, uptime, wear)
         cost += k.weight_maintenance * (end - low - 0.5 * level) / k.tick_s
     return -cost

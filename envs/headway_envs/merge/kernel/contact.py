@@ -53,6 +53,7 @@ def outlines(
         if _interval_gap(low, high, b_centre - b_half, b_centre + b_half) > 0.0:
             meets = False
         moved = axis_x * moved_x + axis_y * moved_y
+        # Extend the interval by the motion of the step.
         if moved < 0.0:
             low += moved
         else:
@@ -60,6 +61,7 @@ def outlines(
         gap = _interval_gap(low, high, b_centre - b_half, b_centre + b_half)
         if gap > 0.0:
             will_meet = False
+        # Separating axes are known for both times, so the remaining ones need not be tested.
         if not meets and not will_meet:
             return False, False, 0.0, 0.0
         if abs(gap) < least:
@@ -116,6 +118,7 @@ def _collide_outlines(a: Record, b: Record, b_is_obstacle: bool) -> None:
     diagonal = _OBSTACLE_DIAGONAL if b_is_obstacle else _CAR_DIAGONAL
     reach = (_CAR_DIAGONAL + diagonal) / 2.0 + a.speed * STEP_S
     x, y = b.x - a.x, b.y - a.y
+    # Vehicles this far apart cannot touch within the step.
     if abs(x) > reach or math.sqrt(x * x + y * y) > reach:
         return
     moved_x = (a.speed * a.cosine - b.speed * b.cosine) * STEP_S

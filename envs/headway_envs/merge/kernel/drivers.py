@@ -72,6 +72,7 @@ def _accepts_change(
 ) -> bool:
     """Return whether MOBIL, with politeness 0, accepts a change to `lane`."""
     new_ahead, new_behind = neighbours(net, cars, bodies, ego, lane)
+    # MOBIL's safety criterion: the new follower must not have to brake harder.
     if desired_acceleration(cars, moving, new_behind, ego) < -k.max_braking:
         return False
     ahead, _ = neighbours(net, cars, bodies, ego, cars[ego].lane)

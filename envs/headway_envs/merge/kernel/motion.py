@@ -20,6 +20,7 @@ def move(net: Network, car: Record, dt: float) -> None:
     """Move one vehicle by the kinematic bicycle model, with speed and heading of the step's start."""
     if car.crashed:
         car.steering = 0.0
+        # A crashed vehicle slows down with a time constant of one second.
         car.acceleration = -car.speed
     if car.speed > _MAX_SPEED:
         car.acceleration = min(car.acceleration, _MAX_SPEED - car.speed)
@@ -29,6 +30,7 @@ def move(net: Network, car: Record, dt: float) -> None:
         car.x += car.speed * car.cosine * dt
         car.y += car.speed * car.sine * dt
     else:
+        # The centre of mass lies midway between the axles.
         slip = math.atan(0.5 * math.tan(car.steering))
         car.x += car.speed * math.cos(car.heading + slip) * dt
         car.y += car.speed * math.sin(car.heading + slip) * dt

@@ -193,6 +193,7 @@ def supervise(
     """Replace the actions (N,) of copy c that are predicted to cause a collision."""
     episode, cars = world.episodes[c], world.cars[c]
     for i in range(episode.cavs):
+        # Decides between equal priorities; too small to reorder others.
         spread = 0.001 * uniform(episode.key, PRIORITY, episode.step, i)
         work.priorities[i] = _priority(net, k, cars, episode.cars, i) + spread
     for _ in range(episode.cavs):
@@ -209,6 +210,7 @@ def supervise(
         for row in range(4):
             other = next_to[row]
             if other >= 0:
+                # CAVs treated earlier already have their final action.
                 action = actions[other] if other < episode.cavs else 0
                 _predict_neighbour(net, k, world, c, work, row, other, action, 16 * ego + row)
         collision = _first_collision(net, k, world, c, work, next_to, ego, actions[ego])

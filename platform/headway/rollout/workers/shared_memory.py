@@ -48,6 +48,7 @@ class SharedBlock:
         except OSError as error:
             raise _refusal(nbytes, content, error.strerror) from error
         try:
+            # Allocated now: a process that touches a page for which memory is missing would be killed.
             os.posix_fallocate(descriptor, 0, max(nbytes, 1))
             return cls(descriptor, nbytes)
         except OSError as error:
@@ -93,6 +94,7 @@ class SharedPickle(Generic[ValueT]):
     @classmethod
     def of(cls, value: ValueT) -> Self:
         """Pickle `value`. Raises HeadwayError if memory is too short, and any error of pickling."""
+        # Protocol 5 keeps arrays out of the pickle, so that workers map them instead of copying them.
         buffers: list[pickle.PickleBuffer] = []
         pickled = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
         contents = [memoryview(pickled), *(buffer.raw() for buffer in buffers)]
@@ -134,6 +136,7 @@ def _attach(descriptor: Any, nbytes: int) -> SharedBlock:  # noqa: ANN401 - a pr
 
 
 def _anonymous_file() -> int:
+    # Without memfd (macOS), a temporary file that is deleted at once is nameless too.
     if hasattr(os, "memfd_create"):
         return os.memfd_create("headway")
     with tempfile.TemporaryFile() as file:

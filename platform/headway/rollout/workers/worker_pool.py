@@ -180,6 +180,7 @@ class WorkerPool:
         waitables = {self.workers[shard].link.waitable: shard for shard in shards}
         until = inf if timeout_s is None else time.monotonic() + timeout_s
         while True:
+            # A limit or a notice may fall due before any answer arrives.
             left = min([until - time.monotonic(), *map(self._notice_in_s, shards)])
             wait_s = None if left == inf else max(left, 0)
             found = {waitables[ready] for ready in self.launcher.wait(list(waitables), wait_s)}
@@ -298,8 +299,10 @@ class WorkerPool:
         link, command = worker.link, worker.command
         assert command is not None
         link.await_start()
+        # Waiting for free CPUs does not count towards the command's limit.
         worker.sent_at += time.monotonic() - began
         self.answered([shard], None)
+        # An answer that arrives at the last moment still counts.
         if self._is_overdue(shard) and not self.launcher.wait([link.waitable], 0):
             slow = "if it is only slow, set a higher backend.worker_timeout_s"
             return f"no answer for {self._limit_s(worker):.0f} s while {self._doing(command)}; {slow}"
@@ -310,6 +313,7 @@ class WorkerPool:
 
     def _require_replaceable(self, shard: int, answer: CommandFailed | str) -> None:
         worker, no_traceback = self.workers[shard], "the worker left no traceback"
+        # A lost machine is no fault of the worker's code, so it is tolerated more often.
         if worker.link.lost_with_machine:
             if worker.lost_machines == _MAX_LOST_MACHINES:
                 times = f"{_MAX_LOST_MACHINES + 1} times in a row"
