@@ -1,7 +1,7 @@
 """Public interface of the environments: what packages, scripts and notebooks import from `headway_envs`.
 
 `ENTRIES` names every environment; `ENTRIES["merge"].parallel_env(MergeConfig())` is a PettingZoo ParallelEnv.
-`ArrayEnv` and `from_batched` help to write one's own; `write_sumo_scenario` writes an episode of the
+`ArrayEnv` and `from_batched` help to write others; `write_sumo_scenario` writes an episode of the
 intersection for SUMO; the remaining functions read, simulate and draw bus scenarios. Importing this module
 imports no compiled kernel, no pandas and no SUMO. Every other module of the package is private.
 """

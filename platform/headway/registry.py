@@ -1,7 +1,7 @@
 """Environments, algorithms and wrappers by name, the project's own and those of other packages.
 
 Other packages add theirs by entry point (`headway.envs`, `headway.algos`, `headway.wrappers`). On-policy
-components have groups of their own: see `headway_algos.components`.
+components have separate entry-point groups: see `headway_algos.components`.
 """
 
 from collections.abc import Mapping

@@ -282,7 +282,7 @@ def process_event_traced(
     return used
 
 
-# A function of its own: numba would compile everything that `advance` calls for the literal -1 as well.
+# A separate function: numba would compile everything that `advance` calls for the literal -1 as well.
 @compiled
 def next_event(world: World, c: int, first: int, last: int, until: float) -> tuple[int, float]:
     """Return the slot in [first, last) with the next event before `until`, and its time; else (-1, until)."""
