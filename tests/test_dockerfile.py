@@ -25,7 +25,7 @@ def test_hadolint_has_nothing_to_say() -> None:
     assert (shown.returncode, shown.stdout) == (0, "")
 
 
-def test_it_names_what_the_project_has() -> None:
+def test_it_names_existing_files_and_extras() -> None:
     [python] = re.findall(r"^FROM python:3\.(\d+)-slim$", TEXT, re.MULTILINE)
     lowest, beyond = re.findall(r"3\.(\d+)", PROJECT["requires-python"])
     assert int(lowest) <= int(python) < int(beyond)
@@ -37,7 +37,7 @@ def test_it_names_what_the_project_has() -> None:
     assert f"VOLUME {folder}/{StoreConfig.root}\n" in TEXT
 
 
-def test_nothing_runs_as_root_but_what_must() -> None:
+def test_only_necessary_steps_run_as_root() -> None:
     user = TEXT.index("\nUSER $UID\n")
     assert [line for line in TEXT[user:].splitlines() if line.startswith("USER")] == ["USER $UID"]
     assert user < TEXT.index("pip install")

@@ -72,8 +72,8 @@ def _shown(ended: subprocess.CompletedProcess[str]) -> str:
     return ended.stdout
 
 
-def test_what_the_wheel_requires_is_enough_for_all_but_browse(headway: Headway, tmp_path: Path) -> None:
-    """With an experiment from a folder outside the checkout."""
+def test_the_requirements_of_the_wheel_suffice_for_all_but_browse(headway: Headway, tmp_path: Path) -> None:
+    """The experiment is from a folder outside the checkout."""
     (tmp_path / "experiment").mkdir()
     mine = "defaults: [override /algo: ippo]\nstudy: mine\nenv: {id: trivial}\n"
     (tmp_path / "experiment" / "mine.yaml").write_text(mine)

@@ -1,4 +1,4 @@
-"""What pages of the site say about the code, where it can be compared."""
+"""Statements of the site's pages about the code, where they can be compared."""
 
 import shlex
 from collections.abc import Iterator

@@ -128,7 +128,7 @@ def test_a_bus_has_another_future_with_another_seed() -> None:
 
 
 def test_futures_of_a_bus_day_are_distributed_as_days_are() -> None:
-    """From noon on, 60 days and their branches are played alike: means of waits, boardings and trip times
+    """Sixty days and their branches are played alike from noon on: means of waits, boardings and trip times
     agree within four standard errors."""
     entry, days = ENTRIES["bus"], 60
     prepared = entry.prepare(BusConfig())

@@ -30,7 +30,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 """
 """Program that runs another one where Headway cannot be imported."""
 Accelerations = dict[tuple[float, str], float]
-"""By time, s, and vehicle."""
+"""Accelerations by time, s, and vehicle."""
 
 BRIEFLY = (
     "seed=3", "env_steps=200", "rollout.copies=1", "rollout.block=1", "rollout.steps=200", "energy=off",

@@ -28,7 +28,8 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 
 @pytest.mark.slow
 def test_run_and_sweep_return_their_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    """Only theirs; a sweep also those that had finished. They are those of the commands."""
+    """`run` returns its own runs only, `sweep` also those that had finished before. They equal the runs of
+    the commands."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     first = run(*TINY, seed=range(2), **{"algo.lr": np.float64(1e-3)})
     assert "rule random" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""What the engine's tests share."""
+"""Fixtures of the platform's tests."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -187,7 +187,7 @@ def try_case(materials: Sequence[Material], seed: int, case: int, folder: Path) 
 
 
 def _is_lost(intact: Path, before: str, words: Sequence[str], ended: Ended, output: str) -> bool:
-    """Whether the intact run has changed, or is not in the list of runs where that was asked for."""
+    """Return whether the intact run has changed, or is missing in a list of runs that the command printed."""
     if _digest(intact) != before:
         return True
     listed = words[0] == "runs" and ended.code is not None

@@ -319,4 +319,4 @@ ACTS: dict[str, Callable[[], Any]] = {
     "loop": _loop,
 }
 HANGING = ("loop", "spin", "SIGSTOP")
-"""Where nothing limits their time, a user must interrupt the session."""
+"""Faults after which a user must interrupt the session, because nothing limits their time."""

@@ -1,4 +1,4 @@
-"""What a fault led to: how a command line ended, and the counts of a campaign."""
+"""Outcomes of faults: how a command line ended, and the counts of a campaign."""
 
 import re
 import sys
@@ -70,12 +70,12 @@ class Ended:
     code: int | None
     """Exit code; negative: the signal that ended it; None: it was stopped after its time."""
     errors: str
-    """What it wrote to stderr."""
+    """Text on stderr."""
 
 
 _NUMBER, _QUOTED = re.compile(r"\d+"), re.compile(r"'[^']*'|\"[^\"]*\"|[/\w.-]*/[/\w.-]*")
 _FOREIGN = re.compile(r"Traceback|unexpected|\w+Warning: ")
-"""What no line of Headway holds."""
+"""Patterns that no line of Headway's output may contain."""
 
 
 def outcome_of(ended: Ended) -> Outcome:

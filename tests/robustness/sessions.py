@@ -1,4 +1,4 @@
-"""Command lines of Headway in processes of their own, and how they end."""
+"""Command lines of Headway in separate processes, and how they end."""
 
 import os
 import secrets
@@ -71,17 +71,17 @@ class Session:
 
     @property
     def is_running(self) -> bool:
-        """Whether the session's own process has not ended."""
+        """Return whether the session's own process is still running."""
         return self.process.poll() is None
 
     @property
     def out(self) -> str:
-        """What it wrote to stdout so far."""
+        """Return the text on stdout so far."""
         return self._output[0].read_text(errors="replace")
 
     @property
     def err(self) -> str:
-        """What it wrote to stderr so far."""
+        """Return the text on stderr so far."""
         return self._output[1].read_text(errors="replace")
 
     def processes(self) -> list[psutil.Process]:

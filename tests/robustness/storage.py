@@ -94,7 +94,7 @@ def disturbed(
 
 
 def may_mount() -> bool:
-    """Return whether this machine allows mounts in a namespace of one's own."""
+    """Return whether this machine allows mounts in a separate namespace."""
     done = subprocess.run(["unshare", "-rm", "mount", "-t", "tmpfs", "tmpfs", "/mnt"], capture_output=True)
     return done.returncode == 0
 

@@ -1,4 +1,4 @@
-"""What learners have learned, for comparison; and trajectories of several seeds or some agents."""
+"""Learned parameters for comparison, and trajectories of several seeds or some agents."""
 
 import io
 from collections.abc import Sequence

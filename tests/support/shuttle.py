@@ -1,4 +1,4 @@
-"""Text of an environment in a file of one's own, for tests that write it to a folder."""
+"""Text of an environment in a user's file, for tests that write it to a folder."""
 
 SHUTTLE = """
 import numpy as np

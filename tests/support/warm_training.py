@@ -22,7 +22,7 @@ _MODULES = (
     "loaded_kernels",
 )
 _SERVERS: dict[int, forkserver.ForkServer] = {}
-"""By process ID: children never use their parent's."""
+"""Servers by process ID: children never use their parent's."""
 
 
 def _server() -> forkserver.ForkServer:
@@ -48,6 +48,6 @@ class WarmProcess(context.ForkServerProcess):
 
 
 class WarmContext(context.ForkServerContext):
-    """What `multiprocessing.get_context` returns to the session."""
+    """The session's replacement for `multiprocessing.get_context`."""
 
     Process = WarmProcess

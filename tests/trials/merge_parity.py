@@ -71,7 +71,7 @@ class Verdict:
 
 
 class _Pair:
-    """The same episode in both simulators."""
+    """One episode in both simulators."""
 
     def __init__(self, trial: Trial) -> None:
         prepared = prepare(MergeConfig(density=trial.density, preset="clean"), trial.ramp_lanes)

@@ -56,7 +56,7 @@ def test_only_ends_are_marked_as_time_limits() -> None:
 
 
 def test_ends_are_converted_to_booleans() -> None:
-    """As integers they would index copies 0 and 1."""
+    """Integer flags would index copies 0 and 1."""
     given = np.array([0, 1, 1, 0], dtype=np.uint8)
     _, _, ended, _ = spread_peer._with_boolean_ends(lambda: ("seen", "paid", given, []))()
     returns = np.ones(4)

@@ -137,7 +137,7 @@ def test_an_agent_acts_as_if_alone_in_its_copy(
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_replica_in_a_stack_acts_bit_for_bit_as_alone(kind: str) -> None:
-    """In a stack with replicas of few, many and no agents."""
+    """Replicas with few, many and no live agents act in a stack as they do alone."""
     policy = _policy(kind, "float32")
     counts = (7, COPIES * SLOTS, 0, 2)
     alive = np.concatenate([_alive(COPIES, count) for count in counts])

@@ -114,7 +114,7 @@ def test_log_probabilities_equal_torch(
     activation: Literal["tanh", "relu"],
     normalise: bool,
 ) -> None:
-    """Without normalisation also for observations that a normaliser would clip."""
+    """The parameters cover observations that a normaliser would clip, with and without normalisation."""
     spec = _spec(SPACES[space])
     learner, acting = _learner(spec, policies, precision, tuple(range(replicas)), activation, normalise)
     observed = _observed(spec, replicas * COPIES)

@@ -24,13 +24,13 @@ def _at_the_cut(whole_episode: bool) -> CriticBatch:
     return CriticBatch.after_truncations(made, Truncations.of(made, 1))
 
 
-def test_agents_that_are_gone_are_no_part_of_a_cut_episode() -> None:
-    """The first agent of the next episode is none of this one either."""
+def test_agents_that_left_are_excluded_from_a_cut_episode() -> None:
+    """The first agent of the next episode is excluded too."""
     scene = _at_the_cut(whole_episode=True)
     assert scene.in_joint[0, 0].tolist() == [True, False, False, False, False]
 
 
-def test_agents_that_are_gone_are_no_part_of_an_episode_that_goes_on() -> None:
+def test_agents_that_left_are_excluded_from_an_episode_that_continues() -> None:
     scene = _at_the_cut(whole_episode=False)
     assert scene.in_joint[0, 0].tolist() == [True, False, False, False, True]
 

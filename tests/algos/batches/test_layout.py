@@ -177,7 +177,7 @@ def test_an_unknown_value_of_policies_is_refused() -> None:
 def test_prefetched_rows_equal_those_of_each_minibatch(
     monkeypatch: pytest.MonkeyPatch, piece_rows: int
 ) -> None:
-    """For several tensors, in blocks that divide the minibatches or not."""
+    """Prefetching is tested for several tensors, in blocks that divide the minibatches and in others."""
     selected = np.random.default_rng(4).random((3, 40)) < [[0.9], [0.5], [0.05]]
     rows = [torch.from_numpy(np.random.default_rng(5).normal(size=(3, 40, *more))) for more in ((2,), ())]
     generators = [generator(p, "test") for p in range(3)]

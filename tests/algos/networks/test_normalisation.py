@@ -51,7 +51,7 @@ def test_rows_weigh_less_with_every_batch(memory: float, batches: float, share: 
             np.testing.assert_allclose(moments.variance[p, 0], variance, rtol=1e-10)
 
 
-def test_statistics_follow_what_has_shrunk() -> None:
+def test_statistics_follow_shrinking_values() -> None:
     """After 30 batches a tenth as large as the first, within 10%."""
     moments = RunningStatistics(1, 1, RETURN_MEMORY, RETURN_BATCHES, RETURN_SHARE)
     draw = np.random.default_rng(1)
@@ -88,8 +88,8 @@ def test_statistics_stored_with_equal_weights_are_restored_and_then_forgotten() 
     assert abs(float(new.mean[0, 0, 0])) < 0.01
 
 
-def test_returns_are_normalised_by_those_of_late(fabricate: Callable[..., Trajectory]) -> None:
-    """And still so when training goes on from a checkpoint."""
+def test_returns_are_normalised_by_recent_ones(fabricate: Callable[..., Trajectory]) -> None:
+    """The limit on earlier batches also holds when training continues from a checkpoint."""
     spec, draw = EnvSpec("made", ("a",), 1, Discrete(2)), np.random.default_rng(2)
     settings = configure("ippo", model=ModelConfig((4,)), epochs=1, minibatches=1)
     learner = OnPolicyLearner(settings, spec, (1,), "cpu")

@@ -90,7 +90,7 @@ def test_poisoned_rows_without_experience_change_nothing(
 
 
 @every_case
-def test_nothing_is_learned_before_there_is_enough_to_draw_from(
+def test_nothing_is_learned_before_the_buffer_holds_enough(
     fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
 ) -> None:
     """Each policy waits for its own replay buffer to fill."""
@@ -130,7 +130,7 @@ def test_with_normalised_rewards_their_unit_does_not_matter(
         np.testing.assert_array_equal(infos[1]["critic/value"], 8 * infos[0]["critic/value"])
 
 
-def test_the_scale_of_rewards_is_the_root_mean_square_of_what_is_stored(fabricate: Fabricate) -> None:
+def test_the_scale_of_rewards_is_the_root_mean_square_of_stored_returns(fabricate: Fabricate) -> None:
     learner = _learner(MADQN, DISCRETE, (1,))
     assert learner.replay.return_scale().tolist() == [1, 1, 1]
     learner.update(fabricate(DISCRETE, 10, 3, seed=0, ends=0.3), 1, 0.0)
@@ -144,7 +144,7 @@ def test_the_scale_of_rewards_is_the_root_mean_square_of_what_is_stored(fabricat
 def test_exploration_of_both_schedules_lags_by_one_iteration_and_is_reported(
     fabricate: Fabricate, decay: float | None
 ) -> None:
-    """Also where training goes on from a checkpoint."""
+    """The schedules also continue from a checkpoint."""
     config = replace(MADQN, exploration_start=0.8, exploration_end=0.2, exploration_decay_steps=decay)
     learner = _learner(config, DISCRETE, (1, 2))
     for iteration in (1, 2, 3):
@@ -246,7 +246,8 @@ def test_actions_of_the_other_kind_are_refused_in_one_line(name: str, space: Act
 def test_replay_bytes_are_predicted(
     fabricate: Fabricate, case: str, policies: Policies, iterations: int
 ) -> None:
-    """Of a seed whose agents act at every step, memories full or not."""
+    """The prediction is compared with a seed whose agents act at every step, with full and partly filled
+    buffers."""
     config, spec = CASES[case]
     config = replace(config, policies=policies, n_step=1)
     learner, steps = _learner(config, spec, (1,)), 12 * 2

@@ -37,7 +37,7 @@ def _buffer(capacity: int = CAPACITY, spec: EnvSpec = SPEC) -> ReplayBuffer:
 
 
 def _held(buffer: ReplayBuffer) -> list[list[float]]:
-    """Of each policy, the numbers held, sorted."""
+    """Return the stored numbers of each policy, sorted."""
     by_policy = buffer.arrays["returns"].numpy().reshape(POLICIES, buffer.capacity)
     return [sorted(row[:count].tolist()) for row, count in zip(by_policy, buffer.filled, strict=True)]
 

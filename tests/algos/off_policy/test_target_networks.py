@@ -248,7 +248,7 @@ def test_means_leave_out_networks_without_a_batch() -> None:
 def _without(
     method: DeterministicPolicyGradient, spec: EnvSpec, dimension: int
 ) -> DeterministicPolicyGradient:
-    """The same networks for actions without that dimension."""
+    """Return the same networks for actions without that dimension."""
     other = DeterministicPolicyGradient(method.config, spec, SEEDS, K, CPU)
     keep = [i for i in range(spec.observation_size + 3) if i != spec.observation_size + dimension]
     options = [i for i in range(3) if i != dimension]

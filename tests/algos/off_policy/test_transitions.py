@@ -70,7 +70,7 @@ def _all_walks(parts: list[Trajectory], n_step: int, team: bool = False) -> list
 
 
 def _rows(made: list[Transitions]) -> list[Row]:
-    """By stream, each in order of time."""
+    """Return the transitions by stream, each stream in order of time."""
     rows = [
         (
             int(part.streams[i]), part.observations[i], part.actions[i], float(part.returns[i]),
@@ -125,7 +125,7 @@ def test_rows_without_experience_are_never_read(
 
 
 def test_without_snapshots_transitions_end_with_the_iteration(fabricate: Fabricate) -> None:
-    """At the agent's last observation, and none stays open."""
+    """They end at the agent's last observation, and none stays open."""
     spec = replace(SPEC, snapshots=False)
     made = fabricate(spec, 6, 5, seed=2, absent=0.3, idle=0.5, ends=0.0)
     builder = TransitionBuilder(spec, GAMMA, 1)
@@ -182,11 +182,11 @@ def test_box_actions_are_stored_with_all_components(fabricate: Fabricate) -> Non
 
 
 @pytest.mark.parametrize("away", [0, 2, 7])
-def test_what_was_never_allowed_is_not_allowed_at_a_time_limit_either(
+def test_actions_never_allowed_are_not_allowed_at_a_time_limit_either(
     fabricate: Fabricate, away: int
 ) -> None:
-    """Nor for an agent that has been away for some steps as its stream is cut, since an earlier iteration
-    perhaps."""
+    """This includes agents that have been absent for some steps when their stream is cut, possibly since an
+    earlier iteration."""
     parts = [fabricate(SPEC, 5, 3, seed=i, ends=0.0) for i in range(2)]
     for part in parts:
         part.action_masks[..., 1], part.action_masks[..., 0] = False, True

@@ -65,7 +65,8 @@ class NaiveAgent:
         return [*self.actor.parameters(), *([] if self.log_std is None else [self.log_std])]
 
     def gradients(self, made: Trajectory, advantages_of: Advantages) -> dict[str, tuple[Tensor, ...]]:
-        """Of each part's loss, over the steps at which the agent was there, or acted."""
+        """Return the gradients of each part's loss, over the steps at which the agent was present, or
+        acted."""
         n, losses = self.agent, {name: torch.zeros((), dtype=DOUBLE) for name in ("actor", "critic")}
         there, acted = made.alive[:-1, :, n].sum(), (made.alive[:-1] & made.acting)[:, :, n].sum()
         for c in range(made.rewards.shape[1]):
@@ -300,7 +301,7 @@ def test_stale_gradients_reach_the_optimum_of_a_matrix_game() -> None:
 
 @pytest.mark.slow
 def test_stale_gradients_reach_nearly_the_optimal_tracking_cost() -> None:
-    """At most 1.6 times the optimal cost; random play costs hundreds of times as much."""
+    """The cost is at most 1.6 times the optimal one; random play costs hundreds of times as much."""
     # A standard deviation of 0.3 in [-1, 1]: good actions take a small part of the range.
     model = ModelConfig(hidden=(32, 32), activation="relu", log_std=-1.2)
     settings = {
@@ -314,7 +315,7 @@ def test_stale_gradients_reach_nearly_the_optimal_tracking_cost() -> None:
 
 @pytest.mark.slow
 def test_stale_gradients_come_near_the_optimum_with_agents_that_come_and_go() -> None:
-    """At least 0.96 of the way from random to optimal."""
+    """Training closes at least 0.96 of the gap between random and optimal play."""
     settings = {"policies": "shared", "gamma": 0.9, "lr": 3e-3, "lr_end": 0.1}
     greedy, random, best = _learned("visitors", {}, settings, 20)
     assert (greedy - random) / (best - random) > 0.96

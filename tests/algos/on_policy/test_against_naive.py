@@ -126,7 +126,7 @@ def _vector(tensors: Sequence[Tensor]) -> Tensor:
 
 @dataclass
 class Rows:
-    """What a policy saw and did, and the weights of its actions' log-probabilities."""
+    """Observations and actions of a policy, and the weights of the actions' log-probabilities."""
 
     inputs: Tensor
     masks: Tensor | None
@@ -219,7 +219,7 @@ class Naive:
         self._absorb(made)
 
     def _seen(self, made: Trajectory, n: int, t: int, c: int, final: bool = False) -> Array:
-        """What agent n's critic sees at step t, or where step t ended the stream of some."""
+        """Return the input of agent n's critic at step t, or at a time at which step t ended some streams."""
         over = (
             (made.terminated[t, c] | made.truncated[t, c]) if final else np.zeros(self.spec.num_agents, bool)
         )

@@ -351,7 +351,7 @@ def test_an_iteration_without_live_agents_changes_no_policy(
 
 @pytest.mark.parametrize("normalise", [True, False])
 def test_values_are_in_units_of_return(fabricate: Fabricate, normalise: bool) -> None:
-    """With a constant reward of 50 at the end of each episode, the critic learns 50 in either case."""
+    """The critic learns 50 from a constant reward of 50 at the end of each episode, in either case."""
     steps: dict[str, Any] = {"epochs": 20, "minibatches": 1, "lr": 1e-9, "critic_lr": 0.1}
     config = replace(IPPO, **steps, normalise_values=normalise, value_clip=None, precision="float32")
     learner = OnPolicyLearner(config, DISCRETE, (1,), "cpu")

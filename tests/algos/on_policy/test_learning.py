@@ -115,8 +115,8 @@ def test_climbing_game_is_played_at_its_safe_equilibrium(algorithm: str) -> None
 
 @pytest.mark.parametrize("algorithm", CONTINUOUS)
 def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorithm: str) -> None:
-    """At most 1.6 times the optimal cost with a shared policy, twice with independent ones; untrained
-    policies cost hundreds of times the optimum."""
+    """The cost is at most 1.6 times the optimal one with a shared policy, and twice with independent ones;
+    untrained policies cost hundreds of times as much."""
     in_turns = algorithm in IN_TURNS
     settings: dict[str, Any] = {
         "policies": "independent" if in_turns else "shared",
@@ -145,9 +145,9 @@ def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorith
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_visitors_choose_nearly_as_well_as_can_be_and_never_what_is_forbidden(algorithm: str) -> None:
-    """At least 0.96 of the way from random to optimal, with agents that come, go and retire; 0.88 with
-    independent policies."""
+def test_visitors_are_nearly_optimal_and_never_choose_forbidden_options(algorithm: str) -> None:
+    """With agents that come, go and retire, training closes at least 0.96 of the gap between random and
+    optimal play, 0.88 with independent policies."""
     settings: dict[str, Any] = {"policies": "shared", "gamma": 0.9, "lr": 3e-3, "lr_end": 0.1}
     iterations = 10
     if UPDATE[algorithm] == "a2c":
@@ -217,8 +217,9 @@ REPLAYED = {
 
 
 @pytest.mark.parametrize("double", [True, False])
-def test_q_learning_of_visitors_chooses_nearly_as_well_as_can_be(double: bool) -> None:
-    """At least 0.94 of the way from random to optimal, among agents that come and go; nothing forbidden."""
+def test_q_learning_of_visitors_is_nearly_optimal(double: bool) -> None:
+    """With agents that come and go, training closes at least 0.94 of the gap between random and
+    optimal play."""
     settings = {**REPLAYED, "gamma": 0.9, "double": double}
     evaluated = _train("visitors", {}, "madqn", settings, (4, 32, 20))
     assert _share("visitors", {}, evaluated) > 0.94
@@ -227,7 +228,8 @@ def test_q_learning_of_visitors_chooses_nearly_as_well_as_can_be(double: bool) -
 
 @pytest.mark.parametrize("n_step", [1, 3])
 def test_q_learning_of_trivial_comes_near_its_optimum(n_step: int) -> None:
-    """At least 0.85 of the way from random to optimal, from a team's reward of three agents."""
+    """Training on the team reward of three agents closes at least 0.85 of the gap between random and optimal
+    play."""
     team = {"agents": 3, "steps": 50}
     settings = {**REPLAYED, "gamma": 0.5, "n_step": n_step}
     evaluated = _train("trivial", team, "madqn", settings, (4, 50, 20))
@@ -235,7 +237,8 @@ def test_q_learning_of_trivial_comes_near_its_optimum(n_step: int) -> None:
 
 
 def test_deterministic_policies_track_at_little_more_than_the_optimal_cost() -> None:
-    """At most 4 times the linear-quadratic regulator's cost; untrained policies cost hundreds of times it."""
+    """The cost is at most 4 times that of the linear-quadratic regulator; untrained policies cost hundreds of
+    times as much."""
     settings = {
         "policies": "shared", "agent_id": False, "model": NetworkConfig((32, 32), "tanh"), "gamma": 0.6,
         "lr": 1e-3,

@@ -151,7 +151,8 @@ def test_products_over_several_seeds_would_be_detected(fabricate: Fabricate, nam
 def test_training_resumed_from_a_checkpoint_is_exact(
     fabricate: Fabricate, name: str, settings: dict[str, Any], spec: EnvSpec
 ) -> None:
-    """From before or after the split of a shared policy; with hidden states and whole replay buffers."""
+    """Checkpoints are from before and after the split of a shared policy, with hidden states and whole replay
+    buffers."""
     first, second = (_learner(name, settings, spec, SEEDS) for _ in range(2))
     tracks = [joined(_experience(fabricate, spec, iteration, settings)) for iteration in (1, 2, 3, 4)]
     _trained(first, tracks[:2])
@@ -168,11 +169,11 @@ def test_training_resumed_from_a_checkpoint_is_exact(
 
 
 @on_policy_case
-def test_a_learner_that_stacks_seeds_learns_as_separate_ones_that_go_on_from_its_state(
+def test_separate_learners_continue_from_the_state_of_a_learner_that_stacks_seeds(
     fabricate: Fabricate, name: str, settings: dict[str, Any], spec: EnvSpec
 ) -> None:
-    """From a run started on a GPU, or before seeds were separated; although one seed has many rows, and
-    another hardly any."""
+    """The state is that of a run started on a GPU, or of a version that did not separate seeds; one seed has
+    many rows, another hardly any."""
     chosen = {**settings, "precision": "float64"}
     config = build(ENTRIES[name].record_for(chosen), chosen, "algo", name)
     stacked = (SplitLearner if "shared_until" in settings else OnPolicyLearner)(config, spec, SEEDS, "cpu")

@@ -22,7 +22,7 @@ def _times(matrices: Tensor, vectors: Tensor) -> Tensor:
 
 
 def test_with_one_iteration_per_dimension_the_solution_is_exact() -> None:
-    """Also with more iterations."""
+    """Further iterations do not change the solution."""
     matrices, targets = _systems(4, 6)
     exact = torch.linalg.solve(matrices, targets)
     for iterations in (6, 50):

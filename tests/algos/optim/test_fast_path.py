@@ -177,7 +177,7 @@ def test_a_network_trains_bit_for_bit_the_same_in_any_stack(space: str, masked: 
 
 
 def test_part_of_a_stack_trains_as_in_the_whole() -> None:
-    """As in the sequential order."""
+    """The sequential order trains such parts."""
     whole, _ = Case(CONFIG, "box", False, (0, 1, 2)).improve()
     case, policies = Case(CONFIG, "box", False, (0, 1, 2)), torch.tensor([1])
     update = ppo_update(case.actor, CONFIG, case.layout)

@@ -128,7 +128,7 @@ def test_both_forms_are_equal(space: str, masked: bool, hidden: tuple[int, ...],
 def test_compiled_products_equal_those_of_torch_in_float64(
     space: str, masked: bool, hidden: tuple[int, ...], activation: str
 ) -> None:
-    """In several blocks of rows; a policy's product has the same bits without the others."""
+    """Rows are in several blocks; a policy's product has the same bits without the other policies."""
     precise, batch = _actor(space, hidden, activation), _batch(space, masked, 2 * ROWS + 37)
     actor = deepcopy(precise).float()
     single = replace(batch, observations=batch.observations.float(), weight=batch.weight.float())
@@ -154,7 +154,7 @@ def test_compiled_products_equal_those_of_torch_in_float64(
 
 
 def test_a_policy_without_rows_has_no_fisher_information() -> None:
-    """Also not in its log standard deviation."""
+    """The log standard deviation of such a policy has none either."""
     actor, batch = _actor("box"), _batch("box")
     weight = batch.weight.clone()
     weight[1] = 0

@@ -143,7 +143,7 @@ def test_before_its_first_batch_a_network_does_not_move() -> None:
 
 
 def test_directions_are_finite_without_signals() -> None:
-    """As with a single allowed action in every row."""
+    """Signals are 0 if a single action is allowed in every row."""
     network = _network()
     factors = KroneckerFactors(network, DAMPING, DECAY, 1)
     rows, score, weight = _batch(0)

@@ -99,8 +99,9 @@ def test_a_queue_boards_first_come_first_served_with_its_exact_waits() -> None:
 
 
 def test_as_many_passengers_come_as_the_table_states() -> None:
-    """At 120 per hour at 05:30, and none at 04:30, 75, 105 and 105 per hour come in the quarter hours whose
-    middles are 05:07:30, 05:22:30 and 05:37:30. The last bus leaves before the middle of the fourth."""
+    """The table states 120 per hour at 05:30 and none at 04:30, so 75, 105 and 105 per hour come in the
+    quarter hours whose middles are 05:07:30, 05:22:30 and 05:37:30. The last bus leaves before the middle of
+    the fourth."""
     days = 400
     env = begun(BusBatchedEnv(tiny(board=120.0), days))
     repeated(env, MOVE, env.prepared.config.ticks - 1)

@@ -65,7 +65,8 @@ def test_buses_queues_and_strokes_come_with_the_day(line: Prepared) -> None:
 
 
 def test_each_direction_has_a_panel_in_which_buses_only_go_up(line: Prepared) -> None:
-    """As usual in the field: with both directions in one panel, meeting buses look like overtaking ones."""
+    """This is usual in the field: with both directions in one panel, meeting buses look like
+    overtaking ones."""
     renderer = BusRenderer(line)
     assert renderer._directions == sorted(set(renderer._places.directions))
     for pattern, (first, last) in enumerate(pairwise(line.network.pattern_calls)):

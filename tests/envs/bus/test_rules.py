@@ -29,8 +29,8 @@ def _metrics(scenario: str, rule_name: str) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("mover", ["always_move", "move_with_service"])
 @pytest.mark.parametrize("scenario", ["line", pytest.param(str(LINE1), marks=pytest.mark.data)])
 def test_the_best_holding_rule_beats_always_moving(scenario: str, mover: str) -> None:
-    """In wait, headway variation and team reward, by paired 95% intervals over days that exclude 0; also if
-    both go to service alike, so that the difference is due to holding."""
+    """It is better in wait, headway variation and team reward, by paired 95% intervals over days that exclude
+    0; also if both rules go to service alike, so that the difference is due to holding."""
     if scenario != "line" and not LINE1.is_dir():
         pytest.skip("the SUNT extract ../shared/data/sunt/line1 is not there")
     moving, holding = _metrics(scenario, mover), _metrics(scenario, "even_headway")

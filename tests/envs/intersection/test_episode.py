@@ -111,8 +111,8 @@ def _actions_for(env: IntersectionBatchedEnv, interval: int, there: frozenset[st
 
 @pytest.mark.parametrize("kind", quick_or_slow({kind: (kind,) for kind in ("team", "own", "paper")}, "own"))
 def test_a_repeated_action_equals_the_same_action_at_every_step(kind: str, crossing: Open) -> None:
-    """For vehicles present when it was chosen; later ones keep their speed. The two runs are sequential,
-    because a process holds one simulation."""
+    """The equality is for vehicles present when the action was chosen; later ones keep their speed. The two
+    runs are sequential, because a process holds one simulation."""
     repeat, intervals, ends, places, sums = 5, 130, [], [], []
     reward = RewardConfig(kind="paper") if kind == "paper" else RewardConfig(scope=kind)
     for action_repeat in (repeat, 1):

@@ -98,7 +98,8 @@ def test_compliance_is_drawn_per_vehicle_and_episode() -> None:
 
 
 def test_avs_at_red_hold_far_before_the_stop_line(crossing: Open) -> None:
-    """With AVs only: a vehicle that could hold when its green ended does not enter before its next green."""
+    """The road has AVs only: a vehicle that could hold when its green ended does not enter before its next
+    green."""
     env, rule = crossing(vph_per_lane_hdv=0, av_speed_mode=11), VirtualSignal(None)
     observed = env.reset(np.array([3], np.uint64))
     green_s, half_s = rule.GREEN_S, rule.GREEN_S + rule.CLEAR_S

@@ -92,7 +92,7 @@ def _after_step(
 
 
 def test_target_speeds_follow_from_clipped_accelerations() -> None:
-    """In order of rows: slot 4 belongs to row 0, and so on; no speed is negative."""
+    """Speeds are in the order of rows: slot 4 belongs to row 0, and so on; no speed is negative."""
     memory = np.zeros(1, TRAFFIC)
     memory["slot"][0, :6], memory["speed"][0, :6] = [4, -1, 0, 3, 1, 2], [0.1, 9.0, 10.0, 12.0, 11.0, 13.0]
     accelerations = np.array([9.0, 0.7, 8.0, -8.0, -2.0], np.float32)

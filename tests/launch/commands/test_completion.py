@@ -59,7 +59,7 @@ def test_names_and_keys_are_completed_after_run(before: str, tmp_path: Path) -> 
     assert completions(f"{line}algo=mappo algo.gae", tmp_path) == ["algo.gae_lambda="]
 
 
-def test_files_and_configurations_of_ones_own_are_completed(tmp_path: Path) -> None:
+def test_the_users_files_and_configurations_are_completed(tmp_path: Path) -> None:
     (tmp_path / "lab" / "experiment").mkdir(parents=True)
     (tmp_path / "lab" / "experiment" / "mine.yaml").write_text("seed: 1\n")
     assert completions("headway run lab/experiment/mi", tmp_path) == ["lab/experiment/mine.yaml"]

@@ -116,7 +116,7 @@ def test_a_missing_package_is_named(to: str, refused: Refused, monkeypatch: pyte
     assert not Path(f"{to}-lines").exists()
 
 
-def test_nothing_is_overwritten_and_nothing_is_left_of_what_fails(refused: Refused) -> None:
+def test_nothing_is_overwritten_and_a_failure_leaves_no_files(refused: Refused) -> None:
     Path("csv-lines").mkdir()
     Path("csv-lines", "notes.txt").write_text("mine")
     assert "csv-lines exists; remove it or name a new folder" in refused("convert", "lines", "--to", "csv")

@@ -77,7 +77,7 @@ print("imported:", *sorted(imported - of_numpy - sys.stdlib_module_names))
 
 
 def test_help_imports_numpy_alone() -> None:
-    """Of what is not ours or Python's: so it is quick."""
+    """Other third-party packages are not imported, so that help is quick."""
     shown = subprocess.run([sys.executable, "-c", _HELP], capture_output=True, text=True, check=True).stdout
     assert "headway run" in shown
     assert shown.splitlines()[-1] == "imported: headway headway_launch numpy"
@@ -114,8 +114,8 @@ def test_an_empty_store_has_no_runs(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.parametrize("command", [compare, evaluate], ids=["compare", "evaluate"])
-def test_examples_name_rules_that_are_there(command: ModuleType) -> None:
-    """Of the environment that an example gives, else of the buses."""
+def test_examples_name_existing_rules(command: ModuleType) -> None:
+    """The rules are those of the environment that an example gives, else of the buses."""
     examples = re.findall(r"^ +headway .*--(?:rules|against) .*$", command.EXAMPLES, re.MULTILINE)
     assert examples
     for example in examples:
@@ -157,13 +157,13 @@ def test_a_command_whose_reader_has_gone_ends_quietly() -> None:
         ("run algo=a", 2),
     ],
 )
-def test_only_what_trains_fails_if_its_reader_has_gone(
+def test_only_training_commands_fail_if_their_reader_has_gone(
     words: str, code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def nobody_reads(words: list[str], debug: bool, typed: bool) -> NoReturn:
+    def closed_pipe(words: list[str], debug: bool, typed: bool) -> NoReturn:
         raise BrokenPipeError
 
-    monkeypatch.setattr(main, "_dispatch", nobody_reads)
+    monkeypatch.setattr(main, "_dispatch", closed_pipe)
     monkeypatch.setattr(main, "silence", lambda stream: None)
     assert run(words.split()) == code
 
@@ -202,8 +202,8 @@ def test_what_metrics_are_is_listed_for_each_of_an_episode(name: str, rows_of: R
     assert named <= known
 
 
-def test_what_every_rule_does_is_listed(rows_of: RowsOf) -> None:
-    """In a line that is no other rule's of the same environment."""
+def test_every_rule_has_a_distinct_description(rows_of: RowsOf) -> None:
+    """No other rule of the same environment has the same line."""
     header, *rows = rows_of("list", "rules")
     assert header == ["environment", "rule", "description"]
     listed = [(name, rule) for name, rule, _ in rows]
@@ -232,7 +232,7 @@ def test_suggestions_for_a_wrong_name_include_environments_from_files(what: str,
 
 
 @pytest.mark.parametrize("what", ["metrics", "rules"])
-def test_metrics_and_rules_are_listed_of_what_a_file_configures_too(what: str, rows_of: RowsOf) -> None:
+def test_metrics_and_rules_are_also_listed_for_configuration_files(what: str, rows_of: RowsOf) -> None:
     own, configured = (rows_of("list", what, name) for name in ("intersection", "intersection_paper"))
     assert len(own) > 5
     assert [row[1:] for row in own] == [row[1:] for row in configured]

@@ -63,7 +63,7 @@ def test_a_metric_that_a_run_has_not_is_one_line_with_the_nearest(runs: RunSelec
 def test_training_curves_whose_points_lie_at_different_steps_are_drawn(
     tmp_path: Path, refused: Refused
 ) -> None:
-    """As those of asynchronous algorithms do; points of evaluation are at the same steps in all."""
+    """Asynchronous algorithms have such curves; points of evaluation are at the same steps in all runs."""
     apart: list[dict[int, float]] = [{0: 0.0, 2: 2.0, 4: 8.0}, {1: 3.0, 3: 5.0}]
     for seed, points in enumerate(apart):
         _keep_seed(tmp_path, seed, "training/return", points)

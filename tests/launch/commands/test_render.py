@@ -67,8 +67,8 @@ def test_an_mp4_without_its_extra_is_refused_before_anything_is_played(
 
 
 @pytest.mark.parametrize("suffix", [".png", ".gif"])
-def test_a_picture_says_whose_it_is(tmp_path: Path, suffix: str) -> None:
-    """In its text and, beneath the episode, for people to read."""
+def test_a_picture_names_its_controller(tmp_path: Path, suffix: str) -> None:
+    """The name is in the file's text and, for viewers, beneath the episode."""
     strips = {}
     for seed in ("5", "6"):
         output = tmp_path / f"{seed}{suffix}"

@@ -113,7 +113,7 @@ def test_a_finished_run_is_refused_before_anything_starts(tmp_path: Path, refuse
     assert line == "headway: run run-0-s0 has finished: there is nothing to resume\n"
 
 
-def test_a_study_goes_on_with_what_failed_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_study_also_resumes_failed_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for number, status in enumerate(("KILLED", "FAILED", "FINISHED")):
         end_as(_stored(tmp_path / "runs", number, number).directory, status)
     resumed: list[str] = []

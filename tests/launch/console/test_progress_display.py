@@ -1,4 +1,4 @@
-"""What a session shows: on a screen of any size, and in plain lines."""
+"""The progress display of a session, on a screen of any size and in plain lines."""
 
 import pytest
 from rich.console import Console
@@ -69,7 +69,7 @@ def test_who_was_stopped_has_not_ended() -> None:
     assert lines[1].startswith("ippo: 1 of 3 ended, 2 stopped")
 
 
-def test_what_goes_on_shows_the_steps_of_its_checkpoint() -> None:
+def test_a_resumed_job_shows_the_steps_of_its_checkpoint() -> None:
     resumed = JobProgress((3,), 10, "greedy", iteration=4, iteration_steps=1000)
     assert resumed.cells()[1:3] == ("4/10", "4,000 steps")
     resumed.take(Started(3, ()))  # that checkpoint could not be read
@@ -78,7 +78,7 @@ def test_what_goes_on_shows_the_steps_of_its_checkpoint() -> None:
     assert resumed.cells()[2] == "5,000 steps"
 
 
-def test_time_left_counts_what_waits_at_the_pace_of_its_cell() -> None:
+def test_time_left_counts_waiting_jobs_at_the_pace_of_their_cell() -> None:
     slow, fast = job(0, "slow", 5, seconds_each=10.0), job(0, "fast", 5, seconds_each=1.0)
     waiting = [job(seed, "fast") for seed in (1, 2)]
     assert seconds_left([slow, fast, *waiting], parallel=2) == pytest.approx(50.0)

@@ -32,7 +32,8 @@ def _runs() -> list[RunRow]:
 def test_a_run_finds_its_file_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
-    """From another folder; edited, it is another cell; removed, only what plays it is refused."""
+    """The file is found from another folder. An edited file is another cell; if the file was removed, only
+    commands that play it are refused."""
     assert run(SWEEP) == 0
     shown = capsys.readouterr()
     assert "imported" in shown.err

@@ -191,7 +191,7 @@ def test_adapter_options_are_stored_and_reach_the_adapter() -> None:
 
 
 def test_training_arguments_reach_the_training_environment_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a factory whose signature is unknown, only the given arguments are known."""
+    """If the factory's signature is unknown, only the given arguments are known."""
     monkeypatch.setattr("headway.adapters.modules.takes_any_arguments", lambda function: True)
     for wrappers in ("[]", "[clip_reward_v0]"):
         words = ("env.training_args.local_ratio=0.1", f"env.wrappers={wrappers}")
@@ -327,7 +327,7 @@ def test_rules_whose_inputs_wrappers_hide_are_left_out_in_one_line(
 
 @pytest.mark.slow
 def test_a_checkpoint_with_other_observations_prints_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    """As if this version of the environment had smaller observations."""
+    """The run is evaluated as if this version of the environment had smaller observations."""
     assert run(["run", "env=trivial", *TINY]) == 0
     row = _runs()[0]
     folder = Path(row.directory) / CHECKPOINTS

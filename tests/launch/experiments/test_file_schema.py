@@ -123,7 +123,7 @@ def test_keys_have_types_choices_defaults_and_descriptions() -> None:
     assert model["core"]["enum"] == ["none", "gru"]
 
 
-def test_files_of_ones_own_are_known(
+def test_the_users_files_are_known(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
 ) -> None:
     for name, text in {"env/small": "{id: trivial}", "preset/mine": "{mappo: {}}"}.items():

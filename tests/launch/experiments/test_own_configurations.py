@@ -136,7 +136,7 @@ def test_no_file_and_two_experiments_are_one_line(empty_folder: Path, refused: R
 
 @pytest.mark.slow
 def test_a_stored_configuration_trains_again(folder: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """In the same cell; also a run of a preset that is no longer there, and with other values."""
+    """It trains in the same cell, also if its preset no longer exists, and with other values."""
     words = ["experiment=ours", *SMALL, "env.args.steps=8"]
     assert run(["run", "--config-dir", folder, *words, "seed=3"]) == 0
     [first] = RunIndex(Path("runs")).rows()

@@ -59,7 +59,7 @@ def test_other_training_arguments_prepare_a_second_environment(generated: list[t
 
 
 def _prepared(job: PlannedJob) -> tuple[Any, Any]:
-    """What the job evaluates in and what it trains in."""
+    """Return the shared data of the job's evaluation and training environments."""
     return job.training.plan.prepared, job.training.plan.training_prepared
 
 

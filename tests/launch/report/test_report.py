@@ -361,9 +361,7 @@ def test_a_single_seed_and_missing_rules_are_noted(keep_run: Keep, root: Path) -
     assert "Only one seed each of ia2c, ippo was trained" in text_of(made(root))
 
 
-def test_lookahead_is_the_measure_of_what_could_be_gained_and_not_the_best_rule(
-    keep_run: Keep, root: Path
-) -> None:
+def test_lookahead_measures_the_possible_gain_and_is_never_the_best_rule(keep_run: Keep, root: Path) -> None:
     """On the four episodes of the last evaluation the rules have means of 11.5 and 21.5, the learner 14."""
     for seed in range(2):
         keep_run(TRACKING, seed, 12.0 + seed, rules={**RULES, "lookahead": 20.0})

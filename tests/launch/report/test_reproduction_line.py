@@ -38,7 +38,7 @@ def test_lines_compose_what_was_run(overrides: Sequence[str]) -> None:
     assert again["preset"] == stored["preset"]
 
 
-def test_a_preset_stands_for_what_it_brings() -> None:
+def test_a_preset_replaces_the_keys_that_it_sets() -> None:
     stored = full_mapping(compose(["experiment=merge_study", "preset=merge_paper", "algo.lr=0.25"]), [3])
     line = reproducing_line(stored, "3")
     assert "preset=merge_paper" in line

@@ -1,4 +1,4 @@
-"""Sessions whose output nobody reads, and training processes that die in the middle of an event."""
+"""Sessions whose output is not read, and training processes that die in the middle of an event."""
 
 import os
 import subprocess
@@ -21,7 +21,7 @@ TINY = ("env=trivial", "algo=ippo", *SMALL, "backend=serial", "env_steps=256")
 
 
 def _unheard(*arguments: str, folder: Path) -> int:
-    """Exit code of a `headway` that nobody listens to."""
+    """Exit code of a `headway` whose output is not read."""
     ours, its = os.pipe()
     os.close(ours)
     command = [sys.executable, "-m", "headway_launch", *arguments]

@@ -393,7 +393,7 @@ def test_runs_that_training_cannot_start_from_are_refused(words: list[str], line
 
 
 def test_a_child_that_lost_its_checkpoints_starts_from_its_parent_again(parents: Path) -> None:
-    """And one that has a checkpoint does without the parent, which may be deleted."""
+    """A child with a checkpoint does not need its parent, which may be deleted."""
     words = ["env=trivial", "algo=mappo", "seed=8", "start.run=-s1-", *SMALL, "study=lost", "backend=serial"]
     assert run(["run", *words, f"store.root={parents}"]) == 0
     [child] = (parents / "lost").glob("*-s8-*")

@@ -77,7 +77,7 @@ def test_a_curve_of_two_points_has_no_area(
 
 @pytest.mark.parametrize("iterations", [0, 8])
 def test_without_a_checkpoint_there_is_no_result(runs: Sequence[Run], iterations: int) -> None:
-    """Nor is the evaluation before training one."""
+    """The evaluation before training is not a result."""
     log = RunLog(runs[0].directory)
     log.append("curve", [{"iteration": 0, "env_steps": 0, "wall_s": 0.0, "evaluation_greedy/return": 7.0}])
     log.commit(0)

@@ -65,7 +65,7 @@ def test_an_unreadable_run_is_printed_once(tmp_path: Path, capsys: pytest.Captur
 def test_an_error_is_printed_and_ends_the_wait(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Also one that is none of Headway's, such as a full disk for temporary files."""
+    """Errors that are not Headway's, such as a full disk for temporary files, are included."""
 
     def fail(root: Path) -> None:
         raise OSError("no space left on device")

@@ -48,7 +48,7 @@ def test_the_study_with_the_newest_run_is_first(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_no_cell_is_best_of_several_environments(monkeypatch: pytest.MonkeyPatch, trained: Path) -> None:
-    """Nor of several settings of one: their returns are not on one scale."""
+    """Nor is a cell the best of several settings of one environment: their returns are not on one scale."""
     names = {
         key: SimpleNamespace(task=f"tracking, env.args.steps={steps}")
         for key, steps in (("short", 8), ("long", 50))

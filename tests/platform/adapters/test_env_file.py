@@ -73,7 +73,7 @@ def test_neighbours_can_be_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_another_process_runs_the_text_that_was_read(tmp_path: Path) -> None:
-    """Also when the file was changed or removed after the session began."""
+    """The text is the same if the file was changed or removed after the session began."""
     path = written(tmp_path, SHUTTLE)
     entry = module_entry(path)
     prepared = entry.prepare(entry.config())

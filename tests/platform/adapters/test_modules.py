@@ -258,7 +258,8 @@ def test_equal_rewards_are_noticed(
 
 
 def test_equal_rewards_are_noticed_behind_wrappers(zoo: str) -> None:
-    """Also where the environment cannot be played without them; SuperSuit's or batched ones."""
+    """The wrappers are SuperSuit's or batched ones, also where the environment cannot be played
+    without them."""
     for names in (["frame_stack_v1"], ["black_death_v3"]):
         entry = module_entry(f"{zoo}.paid_v0")
         wrapped = wrapped_entry("paid", entry, listed_wrappers([{"name": name} for name in names]))
@@ -314,10 +315,10 @@ def test_dead_knights_leave_or_stay(kept: bool) -> None:
         assert track.alive.all()
         assert not over.any()
         still = ~track.observations.any(axis=-1)
-        assert still.any(), "nobody died: choose other seeds"
+        assert still.any(), "no agent died: choose other seeds"
         assert not track.rewards[still[1:]].any()
     else:
-        assert over.any(), "nobody died: choose other seeds"
+        assert over.any(), "no agent died: choose other seeds"
         assert not track.alive.all()
 
 

@@ -63,7 +63,7 @@ def test_random_play_draws_allowed_options_uniformly() -> None:
     ],
 )
 def test_every_update_learns_both_choices(algorithm: str, settings: dict[str, Any], core: str) -> None:
-    """At least 0.95 of the optimum, where random play has a quarter."""
+    """The return is at least 0.95 of the optimum, where random play has a quarter."""
     entry, seeds, iterations = ENTRIES[algorithm], (0,), 12
     config = entry.config(**{
         "model": ModelConfig(hidden=(16,), core=core, **({"gru_size": 8} if core == "gru" else {})),

@@ -150,7 +150,7 @@ def test_masks_and_metrics_are_read_from_infos() -> None:
 
 @pytest.mark.parametrize(("space", "options"), [(spaces.Discrete(2), 2), (spaces.MultiDiscrete([2, 3]), 5)])
 def test_a_live_agent_without_allowed_actions_is_an_error(space: Space, options: int) -> None:
-    """Or, of several choices, without an allowed option of the first."""
+    """With several choices, the first one without an allowed option is an error too."""
 
     def script(env: Scripted) -> None:
         mask = np.ones(options)
@@ -358,7 +358,7 @@ def _leave_out(name: str, agent: str, at: int) -> Script:
 @pytest.mark.parametrize("name", ["observation", "reward"])
 @pytest.mark.parametrize("shared_reward", [False, True])
 def test_a_live_agent_without_an_answer_is_an_error(name: str, shared_reward: bool) -> None:
-    """Also while another agent is absent; one that has ended needs neither."""
+    """This holds while another agent is absent; an agent that has ended needs neither."""
     options = AdapterOptions(shared_reward=shared_reward, agents_come_and_go=True)
     for agent, at in (("b", 1), ("a", 3)):
         made = partial(Scripted, _leave_out(f"{name}s", agent, at))

@@ -100,7 +100,7 @@ def of_worker(run: TrainedRun, seen: Observations, state: NDArray[Any] | None) -
 @pytest.mark.parametrize("form", [*FORMATS, "folder"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_acts_as_the_rollout_worker(kind: str, form: str, tmp_path: Path) -> None:
-    """Also in the hidden states, which are passed on; `require_parity` compares the distributions."""
+    """The hidden states, which are passed on, are equal too; `require_parity` compares the distributions."""
     if form == "onnx":
         pytest.importorskip("onnx")
         pytest.importorskip("onnxruntime")

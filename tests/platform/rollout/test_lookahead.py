@@ -1,4 +1,4 @@
-"""The rule `lookahead` on games whose optimum is known, and on one that nobody can foresee."""
+"""The rule `lookahead` on games with a known optimum, and on an unpredictable one."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -154,8 +154,9 @@ def test_the_optimum_is_reached_if_the_horizon_shows_it(steps: int, best: float)
     assert played(Lamps, steps) == [best, best]
 
 
-def test_nothing_behind_the_end_of_an_episode_counts() -> None:
-    """With a horizon beyond the end, a lamp is not lit in the last steps for what the next episode pays."""
+def test_rewards_after_the_end_of_an_episode_do_not_count() -> None:
+    """The horizon extends beyond the end: a lamp is not lit in the last steps for what the next
+    episode pays."""
 
     class Lasting(Lamps):
         LASTING = True

@@ -310,7 +310,7 @@ def test_values_not_finite_are_reported(field: str, place: tuple[int, ...], line
 
 
 def test_large_numbers_are_not_taken_for_infinity() -> None:
-    """Even if their squares overflow."""
+    """Squares of these numbers may overflow."""
     outcome, observed = _step()
     for array in (observed.observations, observed.states, outcome.rewards):
         array[...] = np.finfo(np.float32).max

@@ -74,7 +74,7 @@ def test_performance_profiles_and_their_intervals() -> None:
 
 @pytest.mark.slow
 def test_sample_efficiency_is_the_interquartile_mean_along_the_curve() -> None:
-    """As in rliable's example: the metric at each frame, with whole runs resampled."""
+    """The data are those of rliable's example: the metric at each frame, with whole runs resampled."""
     generator = np.random.default_rng(3)
     curves = np.cumsum(generator.normal(1, 1, (12, 2, 5)), axis=-1)  # runs x tasks x points
     frames, found = library.get_interval_estimates(

@@ -107,7 +107,7 @@ def test_a_checkpoint_whose_parameters_are_no_mapping_is_broken(tmp_path: Path) 
 
 
 def test_a_pickle_with_a_right_checksum_is_not_loaded(tmp_path: Path) -> None:
-    """And torch's advice to load it unsafely is not passed on."""
+    """The error does not repeat torch's advice to load the file unsafely."""
     save_checkpoint(tmp_path, 20, _state())
     (path,) = tmp_path.glob("checkpoint-*.pt")
     content = pickle.dumps(Path)

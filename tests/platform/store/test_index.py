@@ -101,7 +101,7 @@ def test_a_broken_record_is_a_notice(tmp_path: Path) -> None:
 def test_a_record_with_a_wrong_value_is_a_notice(
     tmp_path: Path, change: dict[str, object], problem: str
 ) -> None:
-    """And the other runs stay listed."""
+    """The other runs stay listed."""
     _run(tmp_path, 0)
     broken = _run(tmp_path, 1) / "run.json"
     broken.write_text(json.dumps(json.loads(broken.read_text()) | change))

@@ -254,8 +254,8 @@ def _cell_metrics(root: Path, name: str) -> dict[str, list[float]]:
     }
 
 
-def test_what_belongs_to_a_cell_reaches_mlflow_later_and_once(root: Path) -> None:
-    """Also if its runs are complete in MLflow, and values of earlier sessions stay."""
+def test_data_of_a_cell_reach_mlflow_later_and_once(root: Path) -> None:
+    """This includes cells whose runs are complete in MLflow; values of earlier sessions stay."""
     config = StoreConfig(root=str(root))
     store = SessionStore.open(config)
     cell = Cell(store, "study one", "bus", "mappo", {"algo.lr": 3e-4})
@@ -282,7 +282,7 @@ def test_what_belongs_to_a_cell_reaches_mlflow_later_and_once(root: Path) -> Non
 
 
 def test_a_device_in_a_run_folder_is_not_sent(root: Path) -> None:
-    """Nor a pipe, with which the sending session would hang."""
+    """A pipe, with which the sending session would hang, is not sent either."""
     store = SessionStore.open(StoreConfig(root=str(root)))
     run = _begin(store)
     _train(run, 1, ITERATIONS)

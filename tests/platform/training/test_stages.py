@@ -52,7 +52,7 @@ def test_each_stage_trains_in_its_environment_and_evaluation_stays(whole: Log) -
     assert min(int(row["length"]) for row in whole["evaluation"]) > SHORT.steps
 
 
-def test_one_learner_goes_on(tmp_path: Path) -> None:
+def test_one_learner_trains_through_all_stages(tmp_path: Path) -> None:
     """Its parameters are those with which the stage before ended."""
     made, seen = [], []
 
@@ -145,7 +145,7 @@ def test_workers_and_other_seeds_change_nothing(backend: Backend, whole: Log, tm
 
 
 def test_a_stage_without_snapshots_begins_anew_when_resumed(tmp_path: Path) -> None:
-    """At its beginning exactly, since no episode has begun; within it with a notice."""
+    """At the beginning of a stage this is exact, since no episode has begun; within it, a notice says so."""
     never = FaultConfig("kill", str(tmp_path), at=10**9, copies=99, snapshots=False)
     env = FaultyVisitors, never
     logs = []

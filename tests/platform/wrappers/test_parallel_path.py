@@ -164,7 +164,7 @@ def test_an_unsuitable_wrapper_is_named_before_training(name: str, wrapper: obje
 def test_skipping_steps_is_refused_if_agents_act_at_some_steps_only(
     skips: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For wrappers of any name and package."""
+    """Wrappers of any name and package are refused."""
     entry = replace(losing("nothing"), skips_steps=skips)
     monkeypatch.setattr(parallel, "wrapper_entry", lambda name: entry)
     wrapped = wrapped_entry("bus", ENTRIES["bus"], [ListedWrapper("twice_v0", entry, NoArguments(), "[0]")])
@@ -359,7 +359,7 @@ def _broken_duel(config: NoArguments) -> Scripted:
 
 @pytest.mark.parametrize("wrappers", [[STACK], [STACK, DELAY], ["agent_indicator_v0"]])
 def test_nan_in_a_wrapped_environment_is_named(wrappers: list[Any]) -> None:
-    """At the first step whose wrapped observations contain it."""
+    """The error names the first step whose wrapped observations contain NaN."""
     entry = parallel_entry("broken", "duel", NoArguments, _broken_duel)
     shared = prepared("broken", entry, wrappers)
     step = 4 if DELAY in wrappers else 3

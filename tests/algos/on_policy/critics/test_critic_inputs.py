@@ -109,7 +109,7 @@ def test_a_team_of_one_has_no_value_while_its_agent_is_absent(fabricate: Fabrica
 
 @pytest.mark.parametrize("spec", [STATE, BOX])
 def test_actions_are_sampled_as_by_workers(fabricate: Fabricate, spec: EnvSpec) -> None:
-    """With the policy's frequencies, never forbidden ones, and 0 for absent agents."""
+    """Actions have the policy's frequencies; forbidden ones never occur, and absent agents get 0."""
     learner = OnPolicyLearner(COMA if spec is STATE else OTHERS, spec, (1, 2), "cpu")
     made = fabricate(spec, 1, 4, seed=0, absent=0.3)
     one = CriticBatch.after_last_step(made)

@@ -60,8 +60,9 @@ def _estimate(learner: OnPolicyLearner, made: Trajectory) -> CriticEstimate:
 
 
 @every_case
-def test_after_the_death_that_ends_all_pay_the_value_comes_to_be_0(config: AlgoConfig, spec: EnvSpec) -> None:
-    """And before it, from every agent's view, what is still paid: (1 - gamma^k) / (1 - gamma)."""
+def test_the_value_is_0_after_the_death_that_ends_all_rewards(config: AlgoConfig, spec: EnvSpec) -> None:
+    """Before the death, the value is what will still be paid, (1 - gamma^k) / (1 - gamma), from every agent's
+    view."""
     learner, iterations = OnPolicyLearner(config, spec, (1,), "cpu"), 100
     for iteration in range(1, iterations + 1):
         learner.update(_mortal(spec, iteration), iteration, iteration / iterations)
@@ -100,8 +101,9 @@ def test_what_an_agent_observes_as_it_is_cut_counts_for_its_team(config: AlgoCon
 
 
 @pytest.mark.parametrize("config", [MAPPO, OTHERS, COMA])
-def test_an_agent_away_at_the_cut_awaits_what_its_own_last_observation_is_worth(config: AlgoConfig) -> None:
-    """With a reward of its own; the other agent, which does not see it, awaits the same as before."""
+def test_an_agent_absent_at_the_cut_bootstraps_from_its_last_observation(config: AlgoConfig) -> None:
+    """The agent has an individual reward; the target of the other agent, which does not observe it, is
+    unchanged."""
     spec = replace(BLIND, shared_reward=False)
     learner = OnPolicyLearner(config, spec, (1,), "cpu")
     made = _mortal(spec, 0)
@@ -175,11 +177,11 @@ def _with_constant_critic(config: AlgoConfig, spec: EnvSpec, value: float) -> On
     ("config", "spec", "limit", "steps"),
     pairwise([IPPO, MAPPO, OTHERS, COMA], [THREE, IN_GROUPS], [None, 8], [3, 32]),
 )
-def test_leaving_where_it_changes_nothing_has_no_advantage(
+def test_leaving_without_effect_has_no_advantage(
     config: AlgoConfig, spec: EnvSpec, limit: int | None, steps: int
 ) -> None:
-    """Where V is the true value of a pay without end, it is every action's return, however short the
-    rollout."""
+    """If V is the true value of a constant reward for ever, it equals the return of every action, for
+    rollouts of any length."""
     learner = _with_constant_critic(config, spec, FOREVER)
     made = _left(spec, 0, steps, limit=limit)
     assert made.terminated[:, :, :2].any()
@@ -202,7 +204,9 @@ def test_an_agent_away_as_the_rollout_ends_awaits_as_much_as_when_last_seen(
 
 
 @pytest.mark.parametrize("config", [IPPO, OTHERS, COMA], ids=["ippo", "others", "coma"])
-def test_the_return_of_an_agent_that_left_is_what_its_team_is_paid_until_the_end(config: AlgoConfig) -> None:
+def test_the_return_of_an_agent_that_left_includes_its_teams_rewards_until_the_end(
+    config: AlgoConfig,
+) -> None:
     """The episode terminates after LIMIT steps: (1 - gamma^k) / (1 - gamma) of PAY from k steps before."""
     learner = OnPolicyLearner(replace(config, gae_lambda=1.0), THREE, (1,), "cpu")
     made = _left(THREE, 0, LIMIT, chance=0.1)

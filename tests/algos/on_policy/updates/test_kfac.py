@@ -335,7 +335,7 @@ def test_steps_equal_those_of_whole_matrices_and_loops_over_rows(
 @every_space
 @pytest.mark.parametrize("bound", [pytest.param(1e-6, marks=pytest.mark.slow), 1e-2])
 def test_the_kl_divergence_equals_the_prediction_of_the_exact_length(spec: EnvSpec, bound: float) -> None:
-    """Without the damping's share; to second order, so more closely with a tighter bound."""
+    """They agree to second order when damping is left out, and hence more closely with a tighter bound."""
     config = replace(CONFIG, kl_bound=bound, lr=1e9)
     update = _update(spec, config)
     for iteration in range(2):
@@ -382,8 +382,8 @@ def test_a_policy_without_rows_and_its_averages_stay_unchanged(spec: EnvSpec) ->
 
 @pytest.mark.parametrize("masked", [False, True])
 def test_sampled_scores_of_a_categorical_have_the_fisher_information_as_covariance(masked: bool) -> None:
-    """With evenly spaced uniforms their mean is 0 and their covariance the Fisher information; forbidden
-    actions are never sampled."""
+    """Scores drawn with evenly spaced uniforms have mean 0 and the Fisher information as covariance;
+    forbidden actions are never sampled."""
     count = 4000
     random = torch.Generator().manual_seed(0)
     logits = torch.randn(1, A, 1, generator=random, dtype=DOUBLE).expand(-1, -1, count)

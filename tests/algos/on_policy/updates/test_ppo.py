@@ -110,7 +110,7 @@ def test_a_policy_without_rows_stays_unchanged_and_affects_no_other() -> None:
 
 
 def test_a_policy_without_rows_has_no_kl_and_keeps_its_coefficient() -> None:
-    """With rows the divergence, far below the target, halves the coefficient."""
+    """The divergence of a policy with rows is far below the target, which halves the coefficient."""
     selected = np.ones((P, B), np.bool_)
     selected[1] = False
     config = replace(CONFIG, kl_coeff=0.2, kl_target=1e3)

@@ -153,7 +153,8 @@ def test_the_step_is_the_natural_gradients_within_its_bound(spec: EnvSpec) -> No
 
 @every_space
 def test_the_line_search_is_per_policy(spec: EnvSpec) -> None:
-    """In a stack some accept at once, some after halvings, some never and stay unchanged bit for bit."""
+    """In one stack, some policies accept at once, some after halvings, and some never, which stay unchanged
+    bit for bit."""
     stack = 10
     config = replace(CONFIG, kl_bound=0.6, accept_ratio=0.7, line_search_steps=1, entropy_coeff=0.0)
     update = _update(spec, config, stack)
@@ -173,7 +174,8 @@ def test_the_line_search_is_per_policy(spec: EnvSpec) -> None:
 
 
 def test_a_step_beyond_the_bound_is_halved_even_if_it_improves() -> None:
-    """With `accept_ratio` 0 and a bound so wide that the quadratic estimate of the KL divergence fails."""
+    """`accept_ratio` is 0, and the bound is so wide that the quadratic estimate of the KL divergence
+    fails."""
     config = replace(CONFIG, kl_bound=0.5, accept_ratio=0.0)
     update = _update(BOX, config, 10)
     rows, advantages = _rows(BOX, update.actor, seed=3)
@@ -194,7 +196,8 @@ def test_the_fisher_information_of_a_share_of_the_rows() -> None:
 
 @every_space
 def test_without_a_gradient_nothing_changes(spec: EnvSpec) -> None:
-    """Without advantages and bonus; and for a policy without rows beside one that is trained."""
+    """The policy has neither advantages nor an entropy bonus, or has no rows and is beside one that is
+    trained."""
     config = replace(CONFIG, entropy_coeff=0.0)
     update = _update(spec, config)
     rows, advantages = _rows(spec, update.actor)

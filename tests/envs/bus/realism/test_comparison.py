@@ -65,9 +65,9 @@ def test_boardings_that_were_made_up_are_left_out(recorded: Tables) -> None:
 
 def test_a_statistic_missing_on_all_simulated_days_fails(recorded: Tables) -> None:
     demand, meta = recorded.demand.assign(board=0.0), {"source": f"a test of doi:{DOI}"}
-    nobody = replace(recorded, demand=demand, meta=meta)
-    rows = {row.statistic: row for row in compare_replay(nobody, BusConfig(), 1)}
-    assert np.isnan(rows[trip_statistics.RIDE].simulated), "nobody rode"
+    without_passengers = replace(recorded, demand=demand, meta=meta)
+    rows = {row.statistic: row for row in compare_replay(without_passengers, BusConfig(), 1)}
+    assert np.isnan(rows[trip_statistics.RIDE].simulated), "no passenger rode"
     assert not rows[trip_statistics.RIDE].holds
 
 

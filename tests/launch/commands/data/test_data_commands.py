@@ -144,14 +144,14 @@ def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
     ],
     ids=["line", "corridor", "city"],
 )
-def test_the_command_that_is_recommended_has_the_values_of_the_study_of_such_networks(
+def test_the_recommended_command_has_the_settings_of_the_study_of_such_networks(
     buses: int,
     like: tuple[str, ...],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """For each size that `headway data synthetic --help` lists; the generated town is a line."""
+    """All sizes that `headway data synthetic --help` lists are tested; the generated town is a line."""
     described = description.by_day_type
 
     def by_day_type(*arguments: Any) -> list[description.DayStatistics]:  # noqa: ANN401 - passed on
@@ -183,7 +183,7 @@ def test_the_guide_continues_with_the_commands_that_are_printed(
     assert set(last.removeprefix("next: ").split("; ")) <= set(commands[create + 1 :])
 
 
-def test_what_lies_there_is_not_written_over(tmp_path: Path, refused: Refused) -> None:
+def test_existing_files_are_not_overwritten(tmp_path: Path, refused: Refused) -> None:
     out = tmp_path / "mine"
     assert run(["data", "synthetic", str(out)]) == 0
     again = ["data", "synthetic", str(out), "--seed", "1"]

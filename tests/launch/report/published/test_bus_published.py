@@ -126,7 +126,7 @@ MOVING = {"moves": 9.0, "waits": 0.0, "service_visits": 0.0, "services_refused":
 
 
 def test_learners_that_always_move_have_learned_the_same_policy(keep_run: Keep, root: Path) -> None:
-    """Also where a seed's days differ from another's, as the service centre may."""
+    """This also holds if the days of seeds differ, as the service centre may."""
     for seed in range(2):
         keep_run((TABLE3, "algo=ippo"), seed, 14.0 + seed, **MOVING)
         keep_run((TABLE3, "algo=ia2c"), seed, 14.0 + seed, **MOVING)

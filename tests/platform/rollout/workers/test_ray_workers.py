@@ -64,7 +64,7 @@ def local(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_workers_import_the_same_modules_as_this_process() -> None:
-    """Where two modules have one name, for instance in another checkout, they import the same one."""
+    """If two modules have one name, for instance in another checkout, both processes import the same one."""
     import ray
 
     def place() -> str:
@@ -109,7 +109,7 @@ def test_ray_workers_equal_processes_bit_for_bit() -> None:
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_ray_workers_may_each_hold_one_seed_of_a_stack() -> None:
-    """They use the parameters of the iteration, and others evaluate."""
+    """They use the parameters of the iteration; other workers evaluate."""
     plan = plan_of(LoneVisitors, VISITORS, seeds=(5, 6), copies=1)
     early, late, given = parameters_of(plan), parameters_of(replace(plan, seeds=(98, 99))), []
     for name in ("process", "ray"):

@@ -53,7 +53,7 @@ def test_a_day_without_fares_takes_the_counts_by_stop(tmp_path: Path) -> None:
     tables = imported(raw)
     counted = tables.meta["counted"]
     assert counted["days without fares, not used for demand"] == 1
-    # 20 hours a stop at 24 an hour; a stop is called at from 6 to 15 h; nobody boards where all trips end.
+    # 20 hours a stop at 24 an hour; a stop is called at from 6 to 15 h; none boards where all trips end.
     lost = counted["boardings of a weekday without a call there in that hour, left out"]
     assert boards(tables, "weekday") + lost == pytest.approx(6 * 20 * 24.0)
     assert boards(tables, "weekday") == pytest.approx(6 * 10 * 24.0, rel=0.1)
