@@ -85,7 +85,7 @@ def test_networks_of_another_algorithm_or_size_are_refused() -> None:
     own, on_policy = _learner("madqn", SPEC, (3,)), _learner("ippo", SPEC, (3,))
     larger = _learner("madqn", SPEC, (3,), model=ModelConfig(hidden=(9,)))
     for parent, with_critic in ((on_policy, False), (larger, True)):
-        with pytest.raises(HeadwayError, match="another algorithm or of other networks than madqn has"):
+        with pytest.raises(HeadwayError, match="another algorithm or other networks than madqn has"):
             own.start_from(parent.state_dict(), 0, 1, with_critic)
 
 

@@ -49,7 +49,9 @@ def test_a_configuration_nested_without_end_is_one_line(piece: str, tmp_path: Pa
 
 def test_a_configuration_whose_store_is_no_mapping_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text("store: ../..")
-    with pytest.raises(HeadwayError, match=r"config\.yaml: store=\.\./\.\. is no mapping; restore the file"):
+    with pytest.raises(
+        HeadwayError, match=r"config\.yaml: store=\.\./\.\. is not a mapping; restore the file"
+    ):
         StoredRun.read(tmp_path, tmp_path)
 
 

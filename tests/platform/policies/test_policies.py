@@ -392,7 +392,7 @@ def test_a_description_that_does_not_fit_is_damage(
 
 def test_torchscript_is_not_run(recurrent: Kept, tmp_path: Path) -> None:
     (tmp_path / "policy.pt").write_bytes(b"a program")
-    with pytest.raises(HeadwayError, match=r"TorchScript is a program.*by torch\.jit\.load"):
+    with pytest.raises(HeadwayError, match=r"a TorchScript file is a program.*with torch\.jit\.load"):
         load_policy(tmp_path / "policy.pt")
 
 
@@ -404,7 +404,9 @@ def test_the_file_of_an_environment_is_not_run(recurrent: Kept, tmp_path: Path) 
     config = yaml.safe_load((copy / "config.yaml").read_text())
     (copy / "config.yaml").write_text(yaml.safe_dump({**config, "env": {"id": str(file)}}))
     (copy / "plan.json").write_text(json.dumps({"stack": [4, 7]}))
-    with pytest.raises(HeadwayError, match=r"lacks the specification of .*env\.py, which is not run for it"):
+    with pytest.raises(
+        HeadwayError, match=r"lacks the specification of .*env\.py, whose code is not run here"
+    ):
         load_policy(copy)
 
 

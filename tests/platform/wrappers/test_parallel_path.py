@@ -184,7 +184,9 @@ def test_the_failing_wrapper_of_a_list_is_named() -> None:
 def test_without_a_parallel_env_only_batched_wrappers_work() -> None:
     entry = replace(ENTRIES["matrix"], parallel_env=None)
     assert prepared("matrix", entry, ["agent_indicator_v0"]).batch(2).spec.observation_size == 4
-    with pytest.raises(HeadwayError, match="observations_v0 has no batched form, and matrix no ParallelEnv"):
+    with pytest.raises(
+        HeadwayError, match="observations_v0 has no batched form, and matrix has no ParallelEnv"
+    ):
         prepared("matrix", entry, ["agent_indicator_v0", DELAY])
 
 

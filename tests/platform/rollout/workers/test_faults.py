@@ -234,7 +234,9 @@ def test_a_worker_starts_although_its_fork_server_ends(
     if failures == 2:
         assert_same(undisturbed, _taken(never))
     else:
-        with pytest.raises(HeadwayError, match="the fork server, which starts worker processes, ends again"):
+        with pytest.raises(
+            HeadwayError, match="the fork server, which starts worker processes, keeps ending"
+        ):
             _taken(never)
 
 
