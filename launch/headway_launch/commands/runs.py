@@ -11,7 +11,7 @@ from headway.config.experiment import StoreConfig
 from headway.config.schema import parse_seeds, suggestion
 from headway.contracts.errors import HeadwayError
 from headway.store.run_folder import STATUSES
-from headway_launch.console.tables import Value, print_table, without_empty
+from headway_launch.console.tables import Value, print_table
 from headway_launch.runner.results import AUC_HEADING, CO2_HEADING
 
 if TYPE_CHECKING:
@@ -27,10 +27,11 @@ examples:
   headway runs --where 'final_reward>300 and algo.lr<1e-3' --sort 'final_reward desc'
   headway diff RUN RUN                             settings and results of two runs side by side
 
-Settings in which runs of one study, environment, algorithm and preset differ have columns of their own.
+The table has the columns that most readers want, and up to four settings in which runs of one study,
+environment, algorithm and preset differ; a line below it (on stderr, if piped) names the columns left out.
 Conditions are SQL expressions (and, or, not, in, between, like). They, --sort and --columns use the field
-names of --format csv and dotted parameters such as algo.lr. A narrow terminal omits columns and names them
-below the table. A run can be named by any unique part of its name.
+names of --format csv, which has all columns, and dotted parameters such as algo.lr. A run can be named by any
+unique part of its name.
 The table rounds numbers; csv and json have field names and all digits; json has all parameters.
 AUC is normalised by the range of each run's own curve: it shows how early a run learns, not how well. A run
 evaluated fewer than three times has none; a flat curve has 0.5.
@@ -54,23 +55,23 @@ _FIELDS = (
     "duration_s",
     "run_id",
 )
-_ON_TERMINAL = ("run_id", *(name for name in _FIELDS if name != "run_id"))
-# The run's name already contains environment, algorithm and seed; the algorithm is dropped last.
-_SPARE_ON_TERMINAL = (
-    "duration_s",
-    "iterations",
-    "preset",
-    "policies",
-    "environment",
-    "seed",
-    "kg_co2",
-    "kwh",
-    "cpu_seconds",
-    "env_steps",
-    "auc",
+_IN_TABLE = (
+    "run_id",
     "study",
     "algorithm",
+    "seed",
+    "status",
+    "env_steps",
+    "final_reward",
+    "auc",
+    "cpu_seconds",
+    "kwh",
 )
+"""Columns of the table, unless others are chosen. The run's name begins with its environment."""
+_MAX_SETTINGS = 4
+"""Most varied settings that have a column of the table."""
+# The run's name already contains algorithm and seed; the algorithm is dropped last.
+_SPARE_ON_TERMINAL = ("seed", "kwh", "cpu_seconds", "env_steps", "auc", "study", "algorithm")
 _HEADINGS = {
     "env_steps": "env steps",
     "final_reward": "final reward",
@@ -204,12 +205,28 @@ def _print_csv(rows: Sequence["RunRow"], columns: str | None) -> None:
 
 
 def _print_table(rows: Sequence["RunRow"], columns: str | None) -> None:
-    names, values, settings = _table(rows, columns, _ON_TERMINAL if sys.stdout.isatty() else _FIELDS)
-    spare = (*_SPARE_ON_TERMINAL[:-1], *settings, _SPARE_ON_TERMINAL[-1])
+    names, values, settings = _table(rows, columns, _IN_TABLE)
+    if columns:
+        print_table(_headings(names), values, whole=_headings(("run_id", "status")))
+        return
+    shown, further = settings[:_MAX_SETTINGS], settings[_MAX_SETTINGS:]
+    spare = (*_SPARE_ON_TERMINAL[:-1], *shown, _SPARE_ON_TERMINAL[-1])
+    rest = [name for name in _FIELDS if name not in names and any(getattr(row, name) for row in rows)]
+    rest += further
+    kept = [place for place, name in enumerate(names) if name not in rest]
+    fields = {_HEADINGS.get(name, name): name for name in names}
+
+    def note(omitted: Sequence[str]) -> str:
+        left_out = [*(fields[heading] for heading in omitted), *rest]
+        hint = "(choose with --columns; --format csv has all)"
+        return f"columns left out: {', '.join(left_out)} {hint}" if left_out else ""
+
     print_table(
-        *without_empty(_headings(names), values, () if columns else (CO2_HEADING,)),
+        [_HEADINGS.get(names[place], names[place]) for place in kept],
+        [[own[place] for place in kept] for own in values],
         whole=_headings(("run_id", "status")),
-        spare=() if columns else _headings(spare),
+        spare=_headings(spare),
+        note=note,
     )
 
 

@@ -1,8 +1,10 @@
 """Tables on stdout: fitted to the width of a terminal, tab-separated when piped."""
 
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING, Literal
+
+from headway_launch.console.output import print_line
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -16,24 +18,34 @@ _UNBROKEN_TEXT, _UNBROKEN_HEADING = 12, 8
 """Length up to which words of text, and of the headings of numbers, are never broken on a narrow terminal."""
 
 
+def omission(omitted: Sequence[str]) -> str:
+    """Return the note on the columns that a narrow terminal has no room for; empty if there are none."""
+    return f"columns omitted on this narrow terminal: {', '.join(omitted)}" if omitted else ""
+
+
 def print_table(
     columns: Sequence[str],
     rows: Sequence[Sequence[Value]],
     title: str = "",
     whole: Collection[str] = (),
     spare: Sequence[str] = (),
+    note: Callable[[Sequence[str]], str] = omission,
 ) -> None:
     """Print rows under a line of column names; None is an empty value.
 
-    On a terminal too narrow for the table, columns in `spare` are omitted in that order, with a note below;
-    if that is not enough, columns in `whole` are wrapped too; if that is not enough either, each row is
-    printed as a list of its values. Numbers are never wrapped. If stdout is not a terminal: no title, one row
-    per line, all columns, cells separated by tabs, numbers with six significant digits.
+    On a terminal too narrow for the table, columns in `spare` are omitted in that order; if that is not
+    enough, columns in `whole` are wrapped too; if that is not enough either, each row is printed as a list of
+    its values. Numbers are never wrapped. If stdout is not a terminal: no title, one row per line, cells
+    separated by tabs, numbers with six significant digits. `note` returns the line below the table for the
+    omitted columns, or an empty string; it goes to stderr if stdout is not a terminal.
     """
     if not sys.stdout.isatty():
         print("\t".join(columns))
         for row in rows:
             print("\t".join(_piped(cell) for cell in row))
+        if line := note(()):
+            sys.stdout.flush()
+            print_line(line)
         return
     from rich.console import Console
 
@@ -44,12 +56,11 @@ def print_table(
         layout.break_whole()
     if layout.least_width > console.width:
         _print_as_lists(console, _Layout(columns, rows, whole), title)
-        return
-    console.print(layout.fitted(console.width, title))
-    if left_out:
-        console.print(
-            f"columns omitted on this narrow terminal: {', '.join(left_out)}", highlight=False, soft_wrap=True
-        )
+        left_out = []
+    else:
+        console.print(layout.fitted(console.width, title))
+    if line := note(left_out):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def without_empty(

@@ -103,11 +103,7 @@ def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping
         episodes = len(rows) // len(learned) if controller == label else len(rows)
         means = [_mean(rows, metric) for metric in metrics]
         table.append((controller, episodes, _mean(rows, "return"), *interval, *means))
-    columns = (*_COLUMNS, *metrics)
-    if sys.stdout.isatty():
-        _print_by_column(columns, table, methods)
-    else:
-        print_table(columns, table)
+    _print_by_column((*_COLUMNS, *metrics), table, methods)
     if len({tuple(_episode_seeds(rows)) for rows in (*learned, *rules.values())}) == 1:
         of_learner = {name: fmean(fmean(_returns(rows)) for rows in learned)} if learned else {}
         for line in gap_lines(of_learner, {rule: _returns(rows) for rule, rows in rules.items()}):
@@ -187,17 +183,17 @@ def _print_by_column(
 ) -> None:
     """Print the table with one column per controller, which is narrower for few controllers and many metrics.
 
-    On a narrow terminal the columns of the rules with the lowest return are left out first.
+    On a narrow terminal the columns of the rules with the lowest return are left out first; there the title
+    has the kind of interval, of which there is a row elsewhere.
     """
-    method = columns.index("interval")
     rows = [
         (name, *(row[place] for row in table))
         for place, name in enumerate(columns)
-        if place not in (0, method)
+        if place and not (name == "interval" and sys.stdout.isatty())
     ]
-    names = [str(row[0]).removeprefix("rule ") for row in table]
+    names = [str(row[0]) for row in table]
     rules = sorted((row for row in table if str(row[0]).startswith("rule ")), key=lambda row: row[2] or 0)
-    spare = [str(row[0]).removeprefix("rule ") for row in rules[:-1]]
+    spare = [str(row[0]) for row in rules[:-1]]
     title = f"95% intervals: {', '.join(methods)}" if methods else ""
     print_table(("metric", *names), rows, title, spare=spare)
 

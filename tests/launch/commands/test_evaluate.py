@@ -30,7 +30,7 @@ def test_a_policy_and_the_rules_play_the_changed_environment(
         capsys.readouterr()
         assert run(["evaluate", name, "--episodes=2", *changes]) == 0
         rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
-        return [float(row[2]) for row in rows[1:]]
+        return [float(cell) for cell in {row[0]: row[1:] for row in rows}["return"]]
 
     assert returns(shared) == [7.5, 7.5]
     assert returns(shared, "env.args.fare=2", "env.args.steps=4") == [12.0, 12.0]

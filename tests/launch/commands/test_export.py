@@ -74,8 +74,8 @@ def test_a_file_alone_has_the_mean_return_of_evaluate(
 def test_the_printed_return_is_that_of_the_file(tmp_path: Path, rows_of: RowsOf) -> None:
     folder = keep_run_on(tmp_path / "runs", KINDS["recurrent"])
     assert run(["export", folder.name, "--output", "policy.npz"]) == 0
-    table = rows_of("evaluate", folder.name, "--episodes", str(EPISODES), "--rules", "random")
-    shown = float(table[1][table[0].index("return")])
+    rows = rows_of("evaluate", folder.name, "--episodes", str(EPISODES), "--rules", "random")
+    shown = float({row[0]: row[1] for row in rows}["return"])
     policy = load_policy("policy.npz")
     assert mean_return(policy, made(policy.origin)) == pytest.approx(shown, rel=1e-4)
 

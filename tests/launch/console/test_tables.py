@@ -96,22 +96,30 @@ def test_runs_keep_identity_status_and_result_whole(width: int, store: Path, lin
     row = next(line for line in lines if "bus-mappo-1f2e3d-s0" in line)
     assert re.search(r"-[0-9a-f]{4} .*FINISHED .*0\.6667 ", row)
     for name, figure in (("env steps", "602,112"), ("AUC", "0.3333"), ("kWh", "1.235e-05")):
-        assert figure in row or ("omitted" in lines[-1] and name in lines[-1])
+        field = {"env steps": "env_steps", "AUC": "auc", "kWh": "kwh"}[name]
+        assert figure in row or re.search(rf"^columns left out: .*\b{field}\b", lines[-1])
     if width >= 80:
         assert re.search(r"│ mappo +│", row)
 
 
-def test_runs_have_a_column_of_co2_where_some_is_known(
-    store: Path, rows_of: RowsOf, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "kg CO2eq" in rows_of("runs", "--store", str(store))[0]
-    [summary] = store.rglob("summary.json")
-    summary.write_text(json.dumps({"kwh": 1e-5, "kg_co2": None}))
-    header = rows_of("runs", "--store", str(store))[0]
-    assert "kWh" in header
-    assert "kg CO2eq" not in header
-    assert run_command(["runs", "--store", str(store), "--format", "csv"]) == 0
-    assert "kg_co2" in capsys.readouterr().out.splitlines()[0].split(",")
+def test_runs_name_the_columns_left_out(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The names are those that --columns takes; a column in which no run has a value is not missed."""
+    assert run_command(["runs", "--store", str(store)]) == 0
+    shown, note = capsys.readouterr()
+    assert shown.splitlines()[0].split("\t") == [
+        "run", "study", "algorithm", "seed", "status", "env steps", "final reward", "AUC (own range)",
+        "CPU s", "kWh",
+    ]  # fmt: skip
+    assert len(shown.splitlines()) == 2
+    assert note == (
+        "columns left out: environment, policies, iterations, kg_co2 "
+        "(choose with --columns; --format csv has all)\n"
+    )
+    named = "environment,policies,iterations,kg_co2"
+    assert run_command(["runs", "--store", str(store), "--columns", named]) == 0
+    shown, note = capsys.readouterr()
+    assert shown.splitlines()[1].split("\t") == ["bus", "shared", "147", "2.34568e-06"]
+    assert note == ""
 
 
 def test_runs_call_the_auc_what_it_is_and_csv_has_fields_and_all_digits(

@@ -9,29 +9,32 @@ def episodes(*returns: float) -> list[Row]:
     return [{"episode_seed": seed, "return": value, "wait": value / 2} for seed, value in enumerate(returns)]
 
 
-def printed(capsys: pytest.CaptureFixture[str]) -> list[list[str]]:
-    return [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+def printed(capsys: pytest.CaptureFixture[str]) -> dict[str, list[str]]:
+    """Return the printed cells of each metric, one per controller."""
+    lines = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    return {metric: cells for metric, *cells in lines}
 
 
 def test_one_seed_is_paired_by_episode(capsys: pytest.CaptureFixture[str]) -> None:
     print_comparison("ippo", [episodes(3.0, 5.0, 4.0)], {"hold": episodes(1.0, 2.0, 3.0)})
-    header, learner, rule = printed(capsys)
+    shown = printed(capsys)
     expected = paired_difference([3.0, 5.0, 4.0], [1.0, 2.0, 3.0])
-    assert header[-2:] == ["interval", "wait"]
-    assert learner[:4] == ["ippo", "3", "4", ""]
-    expected_cells = [2.0, expected.estimate, expected.low, expected.high]
-    assert [float(cell) for cell in rule[2:6]] == pytest.approx(expected_cells, rel=1e-5)
-    assert rule[6:] == ["t over episodes", "1"]
+    assert shown.pop("metric") == ["ippo", "rule hold"]
+    assert [cells[0] for cells in shown.values()] == ["3", "4", "", "", "", "", "2"]
+    rule = {metric: cells[1] for metric, cells in shown.items()}
+    assert (rule.pop("interval"), rule.pop("wait")) == ("t over episodes", "1")
+    expected_cells = [3, 2.0, expected.estimate, expected.low, expected.high]
+    assert [float(cell) for cell in rule.values()] == pytest.approx(expected_cells, rel=1e-5)
 
 
 def test_several_seeds_are_compared_over_seeds_and_episodes(capsys: pytest.CaptureFixture[str]) -> None:
     print_comparison("ippo", [episodes(3.0, 5.0), episodes(2.0, 2.0)], {"hold": episodes(1.0, 2.0)})
-    _, learner, rule = printed(capsys)
+    shown = printed(capsys)
     expected = paired_difference_over_seeds([[3.0, 5.0], [2.0, 2.0]], [[1.0, 2.0], [1.0, 2.0]])
-    assert learner[:3] == ["ippo, 2 seeds", "2", "3"]
-    expected_cells = [expected.estimate, expected.low, expected.high]
-    assert [float(cell) for cell in rule[3:6]] == pytest.approx(expected_cells, rel=1e-5)
-    assert rule[6] == "t over seeds and episodes"
+    assert [shown[name][0] for name in ("metric", "episodes", "return")] == ["ippo, 2 seeds", "2", "3"]
+    cells = [float(shown[name][1]) for name in ("learner minus rule", "95% low", "95% high")]
+    assert cells == pytest.approx([expected.estimate, expected.low, expected.high], rel=1e-5)
+    assert shown["interval"][1] == "t over seeds and episodes"
 
 
 @pytest.mark.parametrize(("seeds", "warning"), [(1, "1 seed: "), (9, "9 seeds: "), (10, "")])
@@ -44,7 +47,8 @@ def test_few_seeds_print_a_warning(seeds: int, warning: str, capsys: pytest.Capt
 
 def test_episodes_that_do_not_pair_give_no_interval(capsys: pytest.CaptureFixture[str]) -> None:
     print_comparison("ippo", [episodes(3.0, 5.0, 4.0)], {"hold": episodes(1.0, 2.0)})
-    assert printed(capsys)[2][3:6] == ["", "", ""]
+    shown = printed(capsys)
+    assert [shown[name][1] for name in ("learner minus rule", "95% low", "95% high")] == ["", "", ""]
 
 
 def test_lookahead_is_a_reference_and_not_the_best_rule() -> None:

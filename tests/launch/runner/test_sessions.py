@@ -97,7 +97,9 @@ def test_a_run_ends_with_a_table_and_is_in_the_store(
     assert table[0][:4] == ["seed", "status", "final reward (1 episode)", "AUC (own range)"]
     assert [row[:2] for row in table[1:3]] == [["3", "FINISHED"], ["4", "FINISHED"]]
     assert [row[0] for row in table[3:5]] == ["mean", "std"]
-    assert any(row[:2] == ["rule optimal", "2"] and float(row[2]) == 20.0 for row in table)  # two episodes
+    of_rule = {row[0]: row[-1] for row in table[6:]}
+    assert (of_rule["metric"], of_rule["episodes"]) == ("rule optimal", "2")
+    assert float(of_rule["return"]) == 20.0
     assert "headway browse" in shown.err
     assert "of the training processes'" not in shown.err  # too short for a store share
     assert [(row.seed, row.status, row.env_steps) for row in runs(empty_folder)] == [

@@ -115,9 +115,10 @@ def test_the_best_policy_is_played_and_exported_in_the_place_of_the_newest(
     others = policy_episodes(stored_policy(stored, environment), 2_000_003, 3, greedy=True)
     assert abs(mean - np.mean([float(row["return"]) for row in others])) > 1e-3
 
-    evaluated = rows_of("evaluate", name, "--best", "--episodes", "3", "--rules", "random")
-    assert evaluated[1][0].endswith("greedy, best policy (iteration 2)")
-    assert float(evaluated[1][evaluated[0].index("return")]) == pytest.approx(mean, rel=1e-4)
+    rows = rows_of("evaluate", name, "--best", "--episodes", "3", "--rules", "random")
+    evaluated = {row[0]: row[1] for row in rows}
+    assert evaluated["metric"].endswith("greedy, best policy (iteration 2)")
+    assert float(evaluated["return"]) == pytest.approx(mean, rel=1e-4)
     asked = ["compare", stored.record.study, "--best", "--episodes", "3", "--rules", "random"]
     capsys.readouterr()
     assert run([*asked, "--format", "json"]) == 0
