@@ -1,4 +1,4 @@
-"""Pictures of a merge: the road in two rows, its ramp lanes, and every vehicle with its speed."""
+"""Pictures of a merge: the road in two rows below a scale, its ramp lanes, and vehicles with their speeds."""
 
 from collections.abc import Iterator
 
@@ -27,7 +27,11 @@ SCALE = 5.0
 """Scale of pictures, pixels per metre."""
 FINER = 2
 """Factor by which pictures are drawn larger and then reduced, for smooth edges."""
-ABOVE_M, MARGIN_M, HEADER = 6.0, 4.0, 34
+ABOVE_M, MARGIN_M, HEADER = 10.0, 4.0, 34
+TICK_M = 50.0
+"""Distance between the marks of the scale above each row, m."""
+NAMED_AT_M = (25.0, ROW_M + 190.0)
+"""Places at which the main road is named, one per row, m; the ramp is named at the first."""
 
 GROUND, ROAD, MARKING, EDGE, TEXT = "#eef1ea", "#8d949b", "#ffffff", "#54595e", "#20242a"
 CAV, HUMAN, CRASHED, OBSTACLE = "#1565c0", "#2e9d4f", "#d32f2f", "#f2b705"
@@ -90,6 +94,9 @@ class MergeRenderer:
         half = OBSTACLE_SIZE / 2.0
         for x, y in self._obstacles:
             draw.rectangle([self._at(x - half, y - half), self._at(x + half, y + half)], OBSTACLE, EDGE)
+        self._draw_names(draw)
+        for row in range(2):
+            self._draw_scale(draw, row)
         self._draw_legend(draw)
         return picture
 
@@ -116,12 +123,46 @@ class MergeRenderer:
                 [self._at(a, b + half) for a, b in zip(x, centre, strict=True)],
             )
 
+    def _draw_names(self, draw: ImageDraw.ImageDraw) -> None:
+        """Write what the roads are onto them, each name with an arrow in driving direction."""
+        ramps = [lane for lane in self._lanes if lane["closed"] and lane["x"] == 0.0]
+        names = [("main road", at, 0.0) for at in NAMED_AT_M]
+        names += [("ramp", NAMED_AT_M[0], lane["y"]) for lane in ramps]
+        for name, at, across in names:
+            x, y = self._at(at, across)
+            draw.text((x, y), name, MARKING, self._font, anchor="lm")
+            x += draw.textlength(name, self._font) + 6 * FINER
+            tip = x + 18 * FINER
+            draw.line([(x, y), (tip, y)], MARKING, FINER)
+            draw.polygon([(tip, y), *((tip - 6 * FINER, y + side * 3 * FINER) for side in (-1, 1))], MARKING)
+        x, y = self._obstacles[-1]
+        draw.text(self._at(x + OBSTACLE_SIZE, y), "end of the ramp", TEXT, self._font, anchor="lm")
+
+    def _draw_scale(self, draw: ImageDraw.ImageDraw, row: int) -> None:
+        """Draw the distances above a row, m along the main road, and say how the rows join."""
+        begin, end = row * ROW_M, (row + 1) * ROW_M
+        y = (HEADER + row * self._row_m * SCALE + 13) * FINER
+        draw.line([(0, y), (self._size[0] * FINER, y)], EDGE, FINER)
+        for metres in np.arange(np.ceil(begin / TICK_M) * TICK_M, end, TICK_M):
+            x = (metres - begin) * SCALE * FINER
+            draw.line([(x, y), (x, y + 4 * FINER)], EDGE, FINER)
+            if abs(metres - ROW_M) > 0.8 * TICK_M:  # there it is said how the rows join
+                anchor = "ms" if metres else "ls"
+                draw.text((x or 4 * FINER, y - 3 * FINER), f"{metres:.0f} m", EDGE, self._font, anchor=anchor)
+        if row == 0:
+            x, said, anchor = self._size[0] - 4, f"{end:.0f} m, continued below", "rs"
+        else:
+            x, said, anchor = 4, f"{begin:.0f} m, continued from above", "ls"
+        draw.text((x * FINER, y - 3 * FINER), said, EDGE, self._font, anchor=anchor)
+
     def _draw_legend(self, draw: ImageDraw.ImageDraw) -> None:
         x = self._size[0] * FINER - 330 * FINER
         for name, colour in (("CAV", CAV), ("human driver", HUMAN), ("crashed", CRASHED)):
             draw.rectangle([x, 10 * FINER, x + 22 * FINER, 19 * FINER], colour, EDGE)
             draw.text((x + 28 * FINER, 8 * FINER), name, TEXT, self._font)
             x += (50 + 7 * len(name)) * FINER
+        x = self._size[0] * FINER - 350 * FINER
+        draw.text((x, 8 * FINER), "numbers: speeds, m/s", TEXT, self._font, anchor="ra")
 
     def _draw_car(self, draw: ImageDraw.ImageDraw, car: np.void, colour: str) -> None:
         if not 0.0 <= car["x"] < 2.0 * ROW_M:
