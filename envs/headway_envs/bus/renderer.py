@@ -129,6 +129,7 @@ class BusRenderer:
         first, last = self._net.line_patterns[self._line : self._line + 2]
         self._patterns = range(first, last)
         self._directions = list(dict.fromkeys(self._places.directions[first:last]))
+        self._hours = self._hours_of_service()
         self._font = ImageFont.load_default(11 * FINER)
         self._small = ImageFont.load_default(9 * FINER)
         self._large = ImageFont.load_default(15 * FINER)
@@ -171,6 +172,18 @@ class BusRenderer:
         caption += f"    team reward so far {float(day['reward']):.1f}"
         self._write(picture, _clock(now), caption)
         return _downsampled(picture)
+
+    def _hours_of_service(self) -> tuple[int, int]:
+        """Return the hours between which the diagram's line runs: whole ones, within the simulated day.
+
+        From its first departure until after its last, by one and a half times its longest trip: buses may be
+        late, above all if they are held.
+        """
+        net, config = self._net, self._prepared.config
+        departs = net.trip_departure[np.isin(net.trip_pattern, self._patterns)]
+        ends = float(departs.max() + 1.5 * net.line_trip[self._line])
+        first, last = math.floor(float(departs.min()) / 3600.0), math.ceil(ends / 3600.0)
+        return max(first, config.start_hour), min(last, config.end_hour)
 
     def _lay_out(self) -> tuple[Frame, list[Frame]]:
         """Return the frame of the map and those of the diagram's panels."""
@@ -222,8 +235,8 @@ class BusRenderer:
 
     def _in_panel(self, panel: int, time: float, up: float) -> Point:
         left, top, right, bottom = self._panels[panel]
-        config = self._prepared.config
-        share = (time - config.start_hour * 3600.0) / config.day_s
+        begin, end = (3600.0 * hour for hour in self._hours)
+        share = (time - begin) / (end - begin)
         return FINER * (left + share * (right - left)), FINER * (bottom - up * (bottom - top))
 
     def _draw_background(self) -> Image.Image:
@@ -259,15 +272,15 @@ class BusRenderer:
     def _draw_axes(self, draw: ImageDraw.ImageDraw, panel: int) -> None:
         left, top, right, _ = self._panels[panel]
         draw.rectangle([FINER * edge for edge in self._panels[panel]], PAPER)
-        config = self._prepared.config
-        for hour in range(config.start_hour, config.end_hour + 1):
+        begin, end = self._hours
+        for hour in range(begin, end + 1):
             x, low = self._in_panel(panel, hour * 3600.0, 0.0)
             draw.line([(x, FINER * top), (x, low)], GRID)
-            if (hour - config.start_hour) % 2 == 0:
+            if (hour - begin) % 2 == 0:
                 draw.text((x, low + 4 * FINER), f"{hour} h", FAINT, self._small, anchor="mt")
         kilometres = float(self._places.along[self._longest[panel]][-1]) / 1000.0
         for quarter in range(5):
-            x, y = self._in_panel(panel, config.start_hour * 3600.0, quarter / 4.0)
+            x, y = self._in_panel(panel, begin * 3600.0, quarter / 4.0)
             draw.line([(x, y), (FINER * right, y)], GRID)
             label = f"{kilometres * quarter / 4.0:.1f} km"
             draw.text((x - 4 * FINER, y), label, FAINT, self._small, anchor="rm")
@@ -323,8 +336,11 @@ class BusRenderer:
     def _extend_diagram(self, buses: _VisibleBuses, now: float) -> None:
         """Extend the diagram by one stroke per bus of the line, from its position in the previous picture.
 
-        A bus that has begun another trip or is out of service gets none.
+        A bus that has begun another trip or is out of service gets none, and none is drawn after the last
+        hour of the diagram.
         """
+        if now > 3600.0 * self._hours[1]:
+            return
         draw, reached = ImageDraw.Draw(self._canvas), {}
         for n, call in enumerate(buses.calls):
             up, slot = self._heights[call], int(buses.slots[n])

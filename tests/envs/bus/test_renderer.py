@@ -13,7 +13,7 @@ from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import AWAY, MOVE, SERVICE_CENTER
 from headway_envs.bus.prepare import prepare
 from headway_envs.bus.prepared import Prepared
-from headway_envs.bus.renderer import OUT_OF_SERVICE, QUEUE, BusRenderer, _VisibleBuses, geography
+from headway_envs.bus.renderer import FINER, OUT_OF_SERVICE, QUEUE, BusRenderer, _VisibleBuses, geography
 from headway_envs.bus.scenario.measures import distance_m
 from headway_envs.bus.scenario.source import scenario_tables
 
@@ -59,9 +59,24 @@ def test_buses_queues_and_strokes_come_with_the_day(line: Prepared) -> None:
         strokes = (later[top:bottom] != first[top:bottom]).any(axis=-1)
         hours = np.flatnonzero(strokes.any(axis=0))
         assert strokes.sum() > 1000
-        assert hours.max() <= left + (right - left) * 2 / 19 + 2  # two of nineteen hours
+        assert hours.max() <= left + (right - left) * 2 / 19 + 2  # two of nineteen hours: 5 to 24 h
     above = slice(renderer._map[1], renderer._map[3])
     assert near(later[above], QUEUE) > near(first[above], QUEUE) + 50
+
+
+def test_the_diagram_has_the_hours_of_service(line: Prepared) -> None:
+    """Trips between 7.5 and 10.5 h take up to an hour, or one and a half if they are late."""
+    renderer = BusRenderer(line)
+    assert renderer._hours == (line.config.start_hour, line.config.end_hour)
+    departs = line.network.trip_departure
+    share = (departs - departs.min()) / np.ptp(departs)
+    network = line.network._replace(
+        trip_departure=3600.0 * (7.5 + 3.0 * share), line_trip=np.full(len(line.lines), 3600.0)
+    )
+    short = BusRenderer(replace(line, network=network))
+    assert short._hours == (7, 12)
+    left, _, right, _ = short._panels[0]
+    assert [short._in_panel(0, 3600.0 * hour, 0.0)[0] / FINER for hour in (7, 12)] == [left, right]
 
 
 def test_each_direction_has_a_panel_in_which_buses_only_go_up(line: Prepared) -> None:
