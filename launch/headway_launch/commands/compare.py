@@ -246,9 +246,10 @@ def _cells(root: Path, study: str, where: Sequence[str]) -> Mapping[str, list["S
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.runs import finished_runs
 
+    runs = finished_runs(root, study, where)
     cells = {
         label: [StoredRun.read(root, Path(row.directory)) for row in members]
-        for label, members in labelled_cells(finished_runs(root, study, where)).items()
+        for label, members in labelled_cells(runs.rows, runs.beside).items()
     }
     environments = [members[0].experiment.evaluated_env for members in cells.values()]
     if differing := _differing(environments):

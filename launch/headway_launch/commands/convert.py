@@ -79,12 +79,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Write the logs and print the folder."""
-    from headway.store.query import RunSelection
     from headway_launch.studies.runs import finished_runs
 
     root = existing_store(arguments.store)
     output = Path(arguments.output or f"{arguments.to}-{arguments.study}")
-    runs = RunSelection(root, tuple(finished_runs(root, arguments.study, arguments.where)))
+    runs = finished_runs(root, arguments.study, arguments.where)
     with _new_folder(output) as folder:
         _WRITERS[arguments.to](runs, folder)
     print(output)

@@ -69,7 +69,7 @@ class StudyData:
         self.study, self.lower_is_better, self.low = study, lower_is_better, low
         self.all_runs = RunSelection(root, tuple(study_runs(root, study)))
         included, self.excluded = included_runs(self.all_runs.rows, study)
-        self.runs = RunSelection(root, tuple(included))
+        self.runs = RunSelection(root, tuple(included), beside=self.all_runs.rows)
         self.metric = metric or self._default_metric()
         group, _, self.column = self.metric.rpartition("/")
         if not group.startswith("evaluation_"):

@@ -2,10 +2,12 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from headway.config.experiment import last_iterations
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.console.output import print_line
@@ -18,19 +20,23 @@ if TYPE_CHECKING:
     from headway.store.query import RunSelection
 
 
-def finished_runs(root: Path, study: str, where: Sequence[str] = ()) -> list["RunRow"]:
+def finished_runs(root: Path, study: str, where: Sequence[str] = ()) -> "RunSelection":
     """Return the newest finished run of each cell and seed of a study for which `where` holds, oldest first.
 
+    Cells are named beside all of the study's, so that one has the same name before the others have finished.
     Prints how many runs are left out because they have not finished, or because a newer run of their seed
     has.
 
     Raises HeadwayError if there is no such study or no such run, and for an invalid condition.
     """
-    included, excluded = included_runs(study_runs(root, study), study)
+    from headway.store.query import RunSelection
+
+    rows = study_runs(root, study)
+    included, excluded = included_runs(rows, study)
     if excluded:
         print_line(f"headway: runs of {study} left out: {', '.join(excluded)}")
     if chosen := filter_runs(included, where):
-        return chosen
+        return RunSelection(root, tuple(chosen), beside=tuple(rows))
     raise HeadwayError(f"--where: no finished run of {study} matches; see headway runs --where")
 
 
@@ -126,6 +132,24 @@ def rules_beside(runs: "RunSelection", metric: str) -> dict[str, dict[str, float
         by_rule = rows.groupby("rule", sort=False)[column].mean()
         means[str(task)] = {str(rule): float(value) for rule, value in by_rule.items()}
     return means
+
+
+def rule_phases(runs: "RunSelection") -> dict[str, dict[str, tuple[str, int]]]:
+    """Return the rule of `start.rule` and the environment steps in which it acts, per task and controller.
+
+    Cells that do not start from a rule are left out, and so are runs whose configuration cannot be read.
+    """
+    phases: dict[str, dict[str, tuple[str, int]]] = {}
+    for row in runs.rows:
+        config: Mapping[str, Any] = {}
+        with suppress(HeadwayError):
+            config = configuration(row.directory)
+        start, name = config.get("start") or {}, runs.names[row.cell]
+        if start.get("rule") and name.controller not in phases.get(name.task, {}):
+            iteration_steps = config["rollout"]["copies"] * config["rollout"]["steps"]
+            [iterations] = last_iterations([start["env_steps"]], iteration_steps)
+            phases.setdefault(name.task, {})[name.controller] = start["rule"], iterations * iteration_steps
+    return phases
 
 
 @lru_cache(maxsize=4096)

@@ -53,28 +53,35 @@ class CellName:
     algo.lr=0.001`)."""
 
 
-def labelled_cells(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
-    """Return the runs of each cell by its label, sorted by label.
-
-    Raises HeadwayError if a run's record cannot be read.
-    """
+def labelled_cells(runs: Iterable[RunRow], beside: Iterable[RunRow] = ()) -> dict[str, list[RunRow]]:
+    """Return the runs of each cell by its label, sorted by label; errors and `beside` as in `cell_names`."""
     rows = list(runs)
-    names = cell_names(rows)
+    names = cell_names(rows, beside)
     cells: dict[str, list[RunRow]] = defaultdict(list)
     for row in rows:
         cells[names[row.cell].label].append(row)
     return dict(sorted(cells.items()))
 
 
-def cell_names(runs: Iterable[RunRow]) -> dict[str, CellName]:
+def cell_names(runs: Iterable[RunRow], beside: Iterable[RunRow] = ()) -> dict[str, CellName]:
     """Return the name of each cell, by its key in the store.
 
-    Raises HeadwayError if a run's record cannot be read.
+    `beside`: further runs, from whose cells the names distinguish the others too, such as those that a sweep
+    has not finished. Raises HeadwayError if the record of one of `runs` cannot be read.
     """
+    choices = {cell: _choice(members) for cell, members in _by_cell(runs).items()}
+    for cell, members in _by_cell(beside).items():
+        if cell not in choices:
+            with suppress(HeadwayError):
+                choices[cell] = _choice(members)
+    return names_among(choices)
+
+
+def _by_cell(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
     cells: dict[str, list[RunRow]] = defaultdict(list)
     for run in runs:
         cells[run.cell].append(run)
-    return names_among({cell: _choice(members) for cell, members in cells.items()})
+    return cells
 
 
 def varied_settings(runs: Sequence[RunRow]) -> tuple[list[str], dict[str, Mapping[str, str]]]:
@@ -84,9 +91,7 @@ def varied_settings(runs: Sequence[RunRow]) -> tuple[list[str], dict[str, Mappin
     that are fields of a run, such as `algo.policies`, are left out, and so are cells whose record cannot be
     read.
     """
-    cells: dict[str, list[RunRow]] = defaultdict(list)
-    for run in runs:
-        cells[run.cell].append(run)
+    cells = _by_cell(runs)
     settings: dict[str, Mapping[str, str]] = {}
     for cell, members in cells.items():
         with suppress(HeadwayError):

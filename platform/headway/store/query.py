@@ -116,11 +116,13 @@ class RunSelection:
 
     root: Path
     rows: tuple[RunRow, ...]
+    beside: tuple[RunRow, ...] = ()
+    """Further runs, from whose cells the names distinguish the selected ones too."""
 
     @cached_property
     def names(self) -> Mapping[str, CellName]:
-        """Names of the cells by their keys, unique within the selection."""
-        return cell_names(self.rows)
+        """Names of the cells by their keys, unique within the selection and `beside`."""
+        return cell_names(self.rows, self.beside)
 
     def runs(self) -> "pd.DataFrame":
         """Return one row per run: its columns in the index; no other file is read."""

@@ -36,7 +36,7 @@ def test_runs_left_out_are_counted_in_one_line(tmp_path: Path, capsys: pytest.Ca
     statuses: tuple[Status, ...] = ("FINISHED", "KILLED", "FINISHED", "RUNNING", "KILLED")
     for seed, status in enumerate(statuses):
         keep_run(tmp_path, seed, status)
-    assert [run.seed for run in finished_runs(tmp_path, "bus")] == [0, 2]
+    assert [run.seed for run in finished_runs(tmp_path, "bus").rows] == [0, 2]
     assert capsys.readouterr().err == (
         "headway: runs of bus left out: 3 not finished (2 KILLED, 1 RUNNING)\n"
     )
@@ -49,7 +49,7 @@ def test_a_seed_that_was_trained_twice_is_one_seed(
     newest = keep_run(tmp_path, 3, "FINISHED", "2026-01-03T00:00:00.000+00:00")
     keep_run(tmp_path, 3, "FINISHED", "2026-01-02T00:00:00.000+00:00")
     other = keep_run(tmp_path, 3, "FINISHED", "2026-01-04T00:00:00.000+00:00", lr="0.1")
-    assert [run.run_id for run in finished_runs(tmp_path, "bus")] == [newest, other]
+    assert [run.run_id for run in finished_runs(tmp_path, "bus").rows] == [newest, other]
     assert "2 superseded by a newer run of the same seed" in capsys.readouterr().err
 
 
@@ -84,6 +84,20 @@ def test_the_runs_of_a_cell_have_its_name(tmp_path: Path) -> None:
         "ippo, shared, algo.lr=0.01": [0],
         "ippo, shared, without algo.lr": [0],
     }
+
+
+def test_a_cell_is_named_beside_those_that_have_not_finished(tmp_path: Path) -> None:
+    """Otherwise the first curve of a sweep over algo.lr would not say which value it has; a run whose record
+    is broken takes part in no name."""
+    keep_run(tmp_path, 0, "FINISHED", **{"algo.lr": "0.001", "algo.gamma": "0.9"})
+    keep_run(tmp_path, 0, "KILLED", **{"algo.lr": "0.01", "algo.gamma": "0.9"})
+    broken = keep_run(tmp_path, 0, "RUNNING", **{"algo.lr": "0.01", "algo.gamma": "0.8"})
+    RunIndex(tmp_path).rows()
+    (tmp_path / "bus" / broken / "run.json").write_text("{")
+    runs = finished_runs(tmp_path, "bus")
+    assert [name.label for name in runs.names.values() if "0.001" in name.label] == ["ippo, algo.lr=0.001"]
+    assert list(labelled_cells(runs.rows, runs.beside)) == ["ippo, algo.lr=0.001"]
+    assert set(runs.runs()["label"]) == {"ippo, algo.lr=0.001"}
 
 
 def test_a_configuration_is_read_without_the_c_loader(
