@@ -23,7 +23,8 @@ One line per cell (algorithm and, if needed to distinguish cells, preset, search
 one panel per environment: mean over finished seeds with the 95% interval of the mean (Student's t), if there
 are at least three. Dashed lines show the rules on the same episodes, for evaluation metrics. Rules so far off
 that they would flatten the curves are omitted, and the axis is not extended for cells far worse than most.
-Training curves whose seeds have points at different steps are interpolated linearly.
+The steps in which a rule acts and policies learn to imitate it (start.rule) are shaded. Training curves
+whose seeds have points at different steps are interpolated linearly.
 """
 
 
@@ -48,13 +49,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Plot, and print the path of the picture."""
     from headway.stats import frames, plots
-    from headway.store.query import RunSelection
-    from headway_launch.studies.runs import curves_of, finished_runs, metric_descriptions, rules_beside
+    from headway_launch.studies.runs import (
+        curves_of,
+        finished_runs,
+        metric_descriptions,
+        rule_phases,
+        rules_beside,
+    )
 
     root = existing_store(arguments.store)
     named: str = arguments.metric
     metric = named if "/" in named else f"evaluation_greedy/{named}"
-    runs = RunSelection(root, tuple(finished_runs(root, arguments.study, arguments.where)))
+    runs = finished_runs(root, arguments.study, arguments.where)
     output = Path(arguments.output or f"{arguments.study}.png")
     means = frames.mean_curves(curves_of(runs, metric))
     remark = " (lower is better)" if arguments.lower_is_better else ""
@@ -69,6 +75,7 @@ def execute(arguments: argparse.Namespace) -> int:
         low=arguments.low,
         title=f"{arguments.study}: {_statistic(means)}",
         sign=-1 if arguments.lower_is_better else 1,
+        rule_phases=rule_phases(runs),
     )
     write_figure(figure, output)
     print(output)

@@ -13,21 +13,24 @@ from headway_launch.report.elements import (
     with_interval,
 )
 from headway_launch.report.study_data import StudyData
+from headway_launch.studies.runs import rule_phases
 
 _COMPONENT = "reward_"
 _STAGES = "; vertical lines: the next stage of training begins"
+_RULE_PHASES = "; shaded: the rule of `start.rule` acts"
 
 
 def curves_section(data: StudyData) -> Section:
     """Return the section with learning curves and sample efficiency."""
     means = frames.mean_curves(data.curves)
-    label = f"{data.mode}: {data.metric_with_unit}"
+    label, phases = f"{data.mode}: {data.metric_with_unit}", rule_phases(data.runs)
     body: list[Part] = [
         Picture(
             "learning_curves",
             f"Learning curves: mean of the {data.mode} evaluation over seeds with the 95% interval of that "
             f"mean by Student's t, from {plots.FEWEST_SEEDS} seeds on; dashed lines: the rules on the same "
-            f"episodes{_STAGES if any(data.stage_ends.values()) else ''}.",
+            f"episodes{_STAGES if any(data.stage_ends.values()) else ''}"
+            f"{_RULE_PHASES if phases else ''}.",
             plots.learning_curves(
                 means,
                 data.rules_beside_curves,
@@ -36,6 +39,7 @@ def curves_section(data: StudyData) -> Section:
                 low=data.low,
                 sign=data.sign,
                 stage_ends=data.stage_ends,
+                rule_phases=phases,
             ),
         )
     ]

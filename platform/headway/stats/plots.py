@@ -98,6 +98,7 @@ def learning_curves(
     title: str = "",
     sign: int = 1,
     stage_ends: Mapping[str, Sequence[int]] | None = None,
+    rule_phases: Mapping[str, Mapping[str, tuple[str, int]]] | None = None,
 ) -> "Figure":
     """Plot the frame of `mean_curves` (column `mean`) or `efficiency` (column `iqm`), one panel per task.
 
@@ -106,7 +107,8 @@ def learning_curves(
     there. The vertical axis is not stretched for a controller far worse than most others (`outliers`; higher
     is better if `sign` is 1, lower if -1), whose label has its worst value, nor for intervals much wider than
     the range of the curves, which are cut off. `low` is the lower limit of the vertical axis.
-    `stage_ends` (task -> environment steps) are vertical lines.
+    `stage_ends` (task -> environment steps) are vertical lines. `rule_phases` (task -> controller -> rule and
+    environment steps) are shaded from 0 on: steps in which that rule acted in training.
     """
     column = "mean" if "mean" in means.columns else "iqm"
     tasks = list(dict.fromkeys(means["task"])) if "task" in means.columns else [""]
@@ -125,6 +127,7 @@ def learning_curves(
         plot_rules(axes, rules.get(task, {}), styles=styles)
         for steps in (stage_ends or {}).get(task, ()):
             axes.axvline(steps, color="0.7", linewidth=0.8, zorder=0)
+        _shade_rule_phases(axes, (rule_phases or {}).get(task, {}), len(by_name), sign)
         if excluded:
             window = axes.get_ylim()
             for name, value in excluded.items():
@@ -144,6 +147,34 @@ def learning_curves(
         figure.suptitle(title)
     _label_ends(figure, list(panels))
     return figure
+
+
+def _shade_rule_phases(axes: "Axes", phases: Mapping[str, tuple[str, int]], curves: int, sign: int) -> None:
+    """Shade the steps in which a rule acted and name it at their end, one line of text per rule and end.
+
+    The text is where curves hardly run after a rule's phase: at the bottom if higher is better.
+    """
+    controllers: dict[tuple[int, str], list[str]] = {}
+    for name, (rule, steps) in phases.items():
+        controllers.setdefault((steps, rule), []).append(name)
+    edge, up = (0.0, 1) if sign > 0 else (1.0, -1)
+    middle = sum(axes.get_xlim()) / 2.0
+    for place, ((steps, rule), names) in enumerate(sorted(controllers.items())):
+        whose = (
+            "" if len(names) == curves else f" ({names[0]})" if len(names) == 1 else f" ({len(names)} curves)"
+        )
+        axes.axvspan(0, steps, color="0.5", alpha=0.12, linewidth=0, zorder=0)
+        axes.annotate(
+            f"rule {rule} acts until here{whose}",
+            xy=(steps, edge),
+            xycoords=("data", "axes fraction"),
+            xytext=(3 if steps < middle else -3, up * (4 + 11 * place)),
+            textcoords="offset points",
+            fontsize="small",
+            color="0.35",
+            horizontalalignment="left" if steps < middle else "right",
+            verticalalignment="bottom" if up > 0 else "top",
+        )
 
 
 def run_curves(curves: Mapping[str, Mapping[int, float]], title: str) -> "Figure":

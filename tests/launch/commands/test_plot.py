@@ -132,8 +132,10 @@ def test_of_a_study_the_cells_that_are_wanted_are_drawn_and_rules_can_be_left_ou
     drawn: list[tuple[list[str], object, str, int, object]] = []
 
     def keep(
-        means: pd.DataFrame, rules: object, axis: str, styles: object, *, low: object, title: str, sign: int
-    ) -> Figure:
+        means: pd.DataFrame, rules: object, axis: str, styles: object, *, low: object, title: str, sign: int,
+        rule_phases: object,
+    ) -> Figure:  # fmt: skip
+        assert rule_phases == {}
         drawn.append((sorted(means["controller"].unique()), rules, axis, sign, title))
         return Figure()
 

@@ -27,7 +27,7 @@ from headway_launch.report.page import Report, html, write_report
 from headway_launch.report.reward_tables import final_reward_section
 from headway_launch.report.study_data import StudyData
 from headway_launch.report.study_report import report_of
-from headway_launch.studies.runs import configuration
+from headway_launch.studies.runs import configuration, rule_phases
 
 Keep = Callable[..., Path]
 TRACKING, MATRIX = ("experiment=toy_tracking",), ("experiment=toy_matrix",)
@@ -493,6 +493,20 @@ def test_stages_are_drawn_on_a_task_if_all_its_cells_have_them(keep_run: Keep, r
     keep_run((*TRACKING, "algo=ia2c", "env_steps=100_000"), 0, 1.0)
     data = StudyData(root, "study")
     assert (len(data.tasks), data.stage_ends) == (1, {})
+
+
+def test_the_phase_of_a_rule_is_known_per_learner(keep_run: Keep, root: Path) -> None:
+    start = ("start.rule=optimal", "start.env_steps=20_000")
+    keep_run((*TRACKING, "algo=ippo", "env_steps=100_000", *start), 0, 1.0)
+    keep_run((*TRACKING, "algo=ia2c", "env_steps=100_000"), 0, 1.0)
+    data = StudyData(root, "study")
+    [phases] = rule_phases(data.runs).values()
+    [(rule, steps)] = phases.values()
+    rollout = configuration(data.runs.rows[0].directory)["rollout"]
+    assert rule == "optimal"
+    assert 20_000 <= steps < 20_000 + rollout["copies"] * rollout["steps"]
+    caption = next(part.caption for part in curves_section(data).body if isinstance(part, Picture))
+    assert caption.endswith("; shaded: the rule of `start.rule` acts.")
 
 
 def test_lower_costs_are_better(keep_run: Keep, root: Path) -> None:

@@ -158,3 +158,25 @@ def test_stages_are_vertical_lines_on_their_task() -> None:
         for axes in figure.axes
     ]
     assert upright == [[], [30, 60]]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_steps_in_which_a_rule_acts_are_shaded_and_named(sign: int) -> None:
+    names = ["ippo", "mappo", "maa2c"]
+    points = [(task, name, steps, 1.0) for task in ("a", "b") for name in names for steps in (0, 50, 100)]
+    means = pd.DataFrame(points, columns=["task", "controller", "env_steps", "mean"])
+    means = means.assign(low=0.5, high=1.5, runs=4)
+    phases = {
+        "a": dict.fromkeys(names, ("hold", 20)),
+        "b": {"ippo": ("hold", 20), "mappo": ("hold", 20), "maa2c": ("wait", 50)},
+    }
+    figure = learning_curves(means, {}, "return", colours(names), sign=sign, rule_phases=phases)
+    first, second = (
+        [text.get_text() for text in axes.texts if text.get_text().startswith("rule ")]
+        for axes in figure.axes
+    )
+    assert first == ["rule hold acts until here"]
+    assert second == ["rule hold acts until here (2 curves)", "rule wait acts until here (maa2c)"]
+    spans = [[patch.get_extents().width for patch in axes.patches] for axes in figure.axes]
+    assert [len(widths) for widths in spans] == [1, 2]
+    assert spans[1][1] == pytest.approx(2.5 * spans[1][0])
