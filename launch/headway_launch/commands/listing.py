@@ -30,6 +30,7 @@ from headway_launch.experiments.override_words import require_each_key_once
 
 EXAMPLES = """\
 examples:
+  headway list                 what can be listed
   headway list envs            all environments
   headway list envs bus        arguments of one environment (env.args.KEY=VALUE)
   headway list envs mpe2.simple_spread_v3      arguments of a PettingZoo environment, by its module
@@ -52,7 +53,7 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add KIND and NAME."""
-    parser.add_argument("kind", metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("kind", metavar="KIND", nargs="?", help=f"{', '.join(KINDS)}; omit to explain them")
     parser.add_argument("name", metavar="NAME", nargs="?", help="show this one in full")
     parser.add_argument(
         "overrides", metavar="KEY=VALUE", nargs="*", help="keys of the environment, for observations only"
@@ -61,7 +62,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Print the list, or one item in full."""
+    """Print the list, one item in full or, without a kind, the kinds."""
+    if arguments.kind is None:
+        print_table(("kind", "what is listed"), list(KINDS.items()))
+        print_line("`headway list KIND` lists them; `headway list KIND NAME` shows one in full")
+        return 0
     if arguments.kind not in KINDS:
         raise HeadwayError(
             f"{arguments.kind!r} cannot be listed; {suggestion(arguments.kind, KINDS, 'headway list ')}"
@@ -70,7 +75,7 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(
             f"headway list {arguments.kind} takes one name: leave out {' '.join(arguments.overrides)}"
         )
-    KINDS[arguments.kind](arguments.name, *arguments.overrides)
+    _LISTS[arguments.kind](arguments.name, *arguments.overrides)
     return 0
 
 
@@ -285,7 +290,21 @@ COMMON_METRICS = {
     "return": "sum of rewards over the episode, mean over agents",
 }
 """Metrics of every environment."""
-KINDS: Mapping[str, Callable[..., None]] = {
+KINDS = {
+    "envs": "environments: their rules, or the arguments of one (env.args.KEY=VALUE)",
+    "algos": "algorithms, or the hyper-parameters of one (algo.KEY=VALUE)",
+    "wrappers": "wrappers for env.wrappers, or the arguments of one",
+    "rules": "classical rules of all environments, or of one",
+    "metrics": "episode metrics of all environments, or of one, with units",
+    "observations": "numbers of an environment's observation, with units and scales; needs a NAME",
+    "experiments": "experiments for `headway run experiment=NAME`",
+    "presets": "hyper-parameter presets for preset=NAME",
+    "searches": "hyper-parameter searches for `headway search NAME`",
+    "keys": "keys of an experiment, or those with a word in their names",
+    "schema": "JSON Schema of experiments' or other files, for editors",
+}
+"""What can be listed, and what it is."""
+_LISTS: Mapping[str, Callable[..., None]] = {
     "envs": _list_envs,
     "algos": _list_algos,
     "wrappers": _list_wrappers,

@@ -4,7 +4,15 @@ import pytest
 from command_lines import Refused, RowsOf
 
 from headway.registry import algo_entries, env_entries
+from headway_launch.commands.listing import _LISTS, KINDS
 from headway_launch.experiments.compose import compose
+
+
+def test_without_a_kind_the_kinds_are_listed(rows_of: RowsOf) -> None:
+    header, *rows = rows_of("list")
+    assert header == ["kind", "what is listed"]
+    assert [kind for kind, _ in rows] == list(KINDS) == list(_LISTS)
+    assert all(text for _, text in rows)
 
 
 def test_a_word_finds_keys_of_all_kinds(rows_of: RowsOf) -> None:

@@ -33,7 +33,6 @@ from headway_launch.experiments.compose import compose
         (["list", "metrics", "mpe2.simple_spread_v3"], ["its EnvEntry needs `metrics`", "that do: bus, "]),
         (["list", "metrics", "buss"], ["buss", "bus"]),
         (["list", "observaitons"], ["did you mean headway list observations?"]),
-        (["list"], ["KIND", "headway list --help"]),
         (["run", "--fast"], ["--fast", "headway run --help"]),
         (["run", "env=trivial", "--store", "here"], ["headway run takes store.root=FOLDER"]),
         (["list", "envs", "--store", "here"], ["--store here; see headway list --help"]),
