@@ -207,7 +207,7 @@ def _player(arguments: argparse.Namespace) -> _Player:
 
 def _run(arguments: argparse.Namespace) -> "StoredRun":
     """Return the named run. Raises HeadwayError, with a hint, if the name is not a run's."""
-    from headway.store.run_folder import run_folders
+    from headway.store.run_folder import first_runs, run_folders
     from headway_launch.experiments.options import options
     from headway_launch.runner.stored_run import StoredRun
 
@@ -215,15 +215,17 @@ def _run(arguments: argparse.Namespace) -> "StoredRun":
         return StoredRun.find(existing_store(arguments.store), arguments.name)
     except HeadwayError as error:
         known = options()["env"]
+        runs = [
+            folder.name
+            for folder in run_folders(Path(arguments.store))
+            if arguments.name in folder.name or arguments.name == folder.parent.name
+        ]
         if arguments.name in known:
             raise HeadwayError(
                 f"{arguments.name} is an environment; add --rule RULE, or name a run"
+                + (f", {first_runs(runs)}" if runs else "")
             ) from error
-        is_known = any(
-            arguments.name in folder.name or arguments.name == folder.parent.name
-            for folder in run_folders(Path(arguments.store))
-        )
-        if not is_known and (near := nearest(arguments.name, known)):
+        if not runs and (near := nearest(arguments.name, known)):
             raise HeadwayError(
                 f"unknown run or environment {arguments.name!r}; did you mean {near}, with --rule RULE? "
                 "`headway runs` shows the runs"

@@ -34,6 +34,8 @@ SUMMARY = "summary.json"
 CHECKPOINTS = "checkpoints"
 _LARGEST = 1e100
 """Bound of the numbers in a summary; beyond it, sums and axes of plots overflow."""
+_MAX_NAMED = 5
+"""Most runs that an error names."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +232,7 @@ def _is_folder(entry: "os.DirEntry[str]") -> bool:
 def find_run(root: Path, run_id: str) -> Path:
     """Return the folder of a run, given its `run_id` or any unique part of it.
 
-    Raises HeadwayError, with the nearest names or a study's runs, if none or several match.
+    Raises HeadwayError, with up to five runs to choose from or the nearest name, if none or several match.
     """
     folders = {folder.name: folder for folder in run_folders(root)}
     if run_id in folders:
@@ -238,17 +240,22 @@ def find_run(root: Path, run_id: str) -> Path:
     matches = [name for name in folders if run_id in name] if run_id else []
     if len(matches) == 1:
         return folders[matches[0]]
-    if matches:
-        raise HeadwayError(f"{len(matches)} runs match {run_id!r} ({_first(matches)}): give more of the name")
     if runs := [name for name, folder in folders.items() if folder.parent.name == _slug(run_id)]:
-        raise HeadwayError(f"{run_id!r} is a study in {root}: name one of its runs ({_first(runs)})")
+        raise HeadwayError(f"{run_id!r} is a study in {root}: name one of its runs, {first_runs(runs)}")
+    if matches:
+        raise HeadwayError(
+            f"{run_id!r} is part of the names of {len(matches)} runs: name one, {first_runs(matches)}"
+        )
     nearest = get_close_matches(run_id, folders, n=1, cutoff=0.0)
     hint = f"the nearest is {nearest[0]}" if nearest else "the store holds no runs"
     raise HeadwayError(f"no run {run_id!r} in {root}: {hint}")
 
 
-def _first(names: Sequence[str]) -> str:
-    return ", ".join(sorted(names)[:3]) + (", ..." if len(names) > 3 else "")
+def first_runs(names: Sequence[str]) -> str:
+    """Return up to five runs for an error that asks for one of them: `a, b, c, d or e (12 in all)`."""
+    *most, last = sorted(names)[:_MAX_NAMED]
+    listed = f"{', '.join(most)} or {last}" if most else last
+    return f"{listed} ({len(names)} in all)" if len(names) > _MAX_NAMED else listed
 
 
 def _slug(name: str) -> str:

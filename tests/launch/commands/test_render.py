@@ -183,7 +183,21 @@ def test_a_study_named_almost_like_an_environment_is_a_study(empty_folder: Path,
     run = empty_folder / "runs" / "buss" / "one-s0"
     run.mkdir(parents=True)
     (run / "run.json").write_text("{}")
-    assert "'buss' is a study in runs: name one of its runs (one-s0)" in refused("render", "buss")
+    assert "'buss' is a study in runs: name one of its runs, one-s0" in refused("render", "buss")
+
+
+def test_an_environment_whose_name_runs_have_is_told_with_those_runs(
+    empty_folder: Path, refused: Refused
+) -> None:
+    for seed in range(7):
+        run = empty_folder / "runs" / "bus" / f"bus-ippo-s{seed}"
+        run.mkdir(parents=True)
+        (run / "run.json").write_text("{}")
+    named = "bus-ippo-s0, bus-ippo-s1, bus-ippo-s2, bus-ippo-s3 or bus-ippo-s4 (7 in all)"
+    line = f"bus is an environment; add --rule RULE, or name a run, {named}\n"
+    assert refused("render", "bus").endswith(line)
+    assert f"'ippo' is part of the names of 7 runs: name one, {named}" in refused("render", "ippo")
+    assert f"'bus' is a study in runs: name one of its runs, {named}" in refused("export", "bus")
 
 
 @pytest.mark.usefixtures("empty_folder")
