@@ -86,7 +86,8 @@ class JobRecorder:
     def keep_energy(self, moment: float, energy: Energy) -> Sequence[Row]:
         """Store an energy sample in each run and return the samples, one per seed.
 
-        A sample is the seed's equal share of the job's `energy` in this session plus its use in earlier ones.
+        A sample is the seed's equal share of the job's `energy` in this session plus its use in earlier ones,
+        and the run's wall time, which is known also where energy is not measured.
         `moment`: seconds since the epoch.
         """
         seeds = len(self.runs)
@@ -95,7 +96,7 @@ class JobRecorder:
         for run, before in zip(self.runs, self.before or (dict[str, float](),) * seeds, strict=True):
             earlier = {name: float(value) for name, value in before.items() if name != "time"}
             sums = {name: earlier.get(name, 0.0) + share.get(name, 0.0) for name in {**earlier, **share}}
-            samples.append({"time": moment, **sums})
+            samples.append({"time": moment, **sums, "duration_s": run.duration_s})
             run.energy.append(samples[-1])
         return samples
 

@@ -41,7 +41,6 @@ class Energy:
     kg_co2: float | None
     """Emissions of the known energy, in kg CO2 equivalent."""
     cpu_seconds: float = 0.0
-    duration_s: float = 0.0
 
     @property
     def kwh(self) -> float | None:
@@ -50,7 +49,7 @@ class Energy:
         return sum(known) if known else None
 
     def per_seed(self, seeds: int) -> "Energy":
-        """Return the share of one of `seeds` seeds: an equal part of everything but the duration."""
+        """Return the share of one of `seeds` seeds: an equal part of everything."""
 
         def share(part: float | None) -> float | None:
             return None if part is None else part / seeds
@@ -61,7 +60,6 @@ class Energy:
             share(self.ram_kwh),
             share(self.kg_co2),
             cpu_seconds=self.cpu_seconds / seeds,
-            duration_s=self.duration_s,
         )
 
     def as_row(self) -> dict[str, float]:
@@ -74,7 +72,6 @@ class _Account:
     """The reports of one job. `memory` and `gpu` are its shares of the machine's, by interval."""
 
     def __init__(self, start: float, cpu_seconds: float = 0.0) -> None:
-        self.start = self.last_report = start
         self.times, self.cpu_seconds = [start], [cpu_seconds]
         self.memory: dict[int, float] = {}
         self.gpu: dict[int, float] = {}
@@ -84,7 +81,6 @@ class _Account:
         """Parts that were measured in at least one interval since the account was opened."""
 
     def report(self, time: float, cpu_seconds: float) -> None:
-        self.last_report = time
         # An unchanged count means "not reported yet": the next report covers this time too.
         if cpu_seconds > self.cpu_seconds[-1]:
             self.times.append(time)
@@ -106,7 +102,6 @@ class EnergyLedger:
     """
 
     def __init__(self, start: float, cores: int, memory_bytes: int) -> None:
-        self._start = start
         self._bounds = [start]
         self._first = 0
         """Number of intervals folded."""
@@ -171,17 +166,17 @@ class EnergyLedger:
         taken = self._folded_spent + (self._spent + used).sum(axis=0)
         taken += sum((account.folded for account in self._accounts.values()), np.zeros(_COLUMNS))
         rest = np.maximum(self._folded + self._machine.sum(axis=0) - taken, 0.0)
-        return _energy(rest, self._known, 0.0, self._bounds[-1] - self._start)
+        return _energy(rest, self._known, 0.0)
 
     def total(self) -> Energy:
         """Return the energy that the machine has used."""
         whole = self._folded + self._machine.sum(axis=0)
-        return _energy(whole, self._known, 0.0, self._bounds[-1] - self._start)
+        return _energy(whole, self._known, 0.0)
 
     def _energy_of(self, job: str, used: _Shares) -> Energy:
         account = self._accounts[job]
         sums = account.folded + used.sum(axis=0)
-        return _energy(sums, account.known, account.cpu_seconds[-1], account.last_report - account.start)
+        return _energy(sums, account.known, account.cpu_seconds[-1])
 
     def _interval_usage(self) -> dict[str, _Shares]:
         """Return, by unsettled job, its usage per kept interval, with the columns of `_machine`."""
@@ -236,6 +231,6 @@ class EnergyLedger:
             account.drop_before(self._bounds[0])
 
 
-def _energy(sums: _Shares, known: NDArray[np.bool_], cpu_seconds: float, duration_s: float) -> Energy:
+def _energy(sums: _Shares, known: NDArray[np.bool_], cpu_seconds: float) -> Energy:
     cpu, gpu, ram, kg = (float(sums[1 + index]) if known[index] else None for index in range(len(_PARTS)))
-    return Energy(cpu, gpu, ram, kg, cpu_seconds, duration_s)
+    return Energy(cpu, gpu, ram, kg, cpu_seconds)

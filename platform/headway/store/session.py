@@ -246,6 +246,11 @@ class Run:
         """Identity of the run in the store."""
         return self.record.run_id
 
+    @property
+    def duration_s(self) -> float:
+        """Wall time so far over all sessions, s, while the run is trained."""
+        return self.record.duration_s + _seconds_since(self._resumed_at)
+
     def durable(self, iteration: int) -> None:
         """Record that the training process has made everything up to `iteration` durable.
 
@@ -287,8 +292,7 @@ class Run:
             return
         self.energy.write()
         write_json(self.directory / SUMMARY, summary)
-        duration_s = self.record.duration_s + _seconds_since(self._resumed_at)
-        self.record = replace(self.record, status=status, ended=now(), duration_s=duration_s)
+        self.record = replace(self.record, status=status, ended=now(), duration_s=self.duration_s)
         self.record.write(self.directory)
         self._store.track_run(self.directory)
 

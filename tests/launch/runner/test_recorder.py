@@ -1,13 +1,17 @@
 """Results of a killed training process: only steps up to its last checkpoint count, reported or not."""
 
+import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from headway.config.experiment import StoreConfig
+from headway.energy.ledger import Energy
 from headway.events import Event, Failed, Finished, IterationFinished, Started, Usage
 from headway.store.checkpoint import save_checkpoint
+from headway.store.energy_log import read_energy
 from headway.store.index import RunIndex
 from headway.store.parquet_log import RunLog
 from headway.store.run_folder import CHECKPOINTS, RunRecord
@@ -55,6 +59,22 @@ def test_an_unreported_checkpoint_counts_and_nothing_after_it(runs: Sequence[Run
         assert result.final_reward == 5.0  # last 20% of five iterations; of eight it would be 7.5
     for row in RunIndex(runs[0].directory.parents[1]).rows():
         assert (row.iterations, row.env_steps, row.final_reward) == (5, 5 * STEPS, 5.0)
+
+
+def test_energy_samples_have_the_wall_time_also_where_energy_is_unknown(runs: Sequence[Run]) -> None:
+    """The time of earlier sessions is included once, and every seed of a stack takes all of it."""
+    for run in runs:
+        run.record = replace(run.record, duration_s=100.0)
+    recording = JobRecorder(runs, before=({"time": 1.0, "duration_s": 100.0, "cpu_seconds": 7.0},) * 2)
+    for moment in (2.0, 3.0):
+        time.sleep(0.01)
+        recording.keep_energy(moment, Energy(None, None, None, None))
+    for run in runs:
+        run.finish("FINISHED", {})
+        samples = read_energy(run.directory)
+        first, last = samples["duration_s"]
+        assert 100.01 <= first < last <= run.record.duration_s < 160.0
+        assert list(samples["cpu_seconds"]) == [7.0, 7.0]
 
 
 @pytest.mark.parametrize(("evaluations", "area"), [(2, None), (3, 0.5), (4, 0.5)])

@@ -60,7 +60,7 @@ def test_a_share_is_cpu_seconds_over_wall_times_cores() -> None:
     assert [getattr(light, part) for part in PARTS[:3]] == pytest.approx([4, 0, 0])
     assert [getattr(idle, part) for part in PARTS[:3]] == pytest.approx([16, 0, 6])
     assert busy.kg_co2 == pytest.approx(2.5)
-    assert (busy.cpu_seconds, busy.duration_s) == (20.0, 10.0)
+    assert busy.cpu_seconds == 20.0
 
 
 def test_rare_reports_do_not_change_a_job_s_share() -> None:
@@ -93,8 +93,8 @@ def test_an_unknown_part_is_none_and_never_zero() -> None:
 
 
 def test_seeds_of_a_stack_share_equally() -> None:
-    whole = Energy(8.0, None, 4.0, 2.0, cpu_seconds=100.0, duration_s=60.0)
-    assert whole.per_seed(4) == Energy(2.0, None, 1.0, 0.5, cpu_seconds=25.0, duration_s=60.0)
+    whole = Energy(8.0, None, 4.0, 2.0, cpu_seconds=100.0)
+    assert whole.per_seed(4) == Energy(2.0, None, 1.0, 0.5, cpu_seconds=25.0)
 
 
 def test_gpu_energy_is_divided_by_the_utilisation_of_each_job_s_processes() -> None:
