@@ -18,6 +18,7 @@ from headway.contracts.errors import HeadwayError
 from headway.energy.ledger import JobUsage
 from headway.energy.meter import EnergyMeter
 from headway.events import EvaluationFinished, Event, Failed, Finished, IterationFinished, Started, Usage
+from headway.wording import counted
 from headway_launch.console.progress_display import CountedProgress
 from headway_launch.runner.cores import CoreShares, uses_gpu, workers_of
 from headway_launch.runner.jobs import CellPlan, PlannedJob
@@ -268,6 +269,7 @@ class _Lane:
                 case None:
                     raise HeadwayError(f"the calibration of {self._name} failed: {self.process.join()}")
             self.trial.take(event)
+            self._progress.add(0, f"{self._name}: iterations {len(self.trial.marks)}")
         if time.monotonic() - self.trial.launched > _PATIENCE_S:
             raise HeadwayError(
                 f"the calibration of {self._name} takes longer than {_PATIENCE_S:g} s and is stopped; "
@@ -298,7 +300,13 @@ class _Lane:
         return cell.label or cell.experiment.algo_name
 
     def _new_trial(self) -> Trial:
-        self._progress.note(f"measuring {self._name}")
+        config = self.waiting[0].jobs[0].config
+        steps = f"{config.rollout.copies} x {config.rollout.steps} steps"
+        least, most = (min(1 + count, config.iterations) for count in (_FEWEST, _ITERATIONS))
+        self._progress.note(
+            f"measuring {self._name}, of which no finished run tells the pace: start, an evaluation of "
+            f"{counted(config.evaluation.episodes, 'episode')}, {least} to {most} iterations of {steps}"
+        )
         return Trial(f"{id(self)} {len(self.waiting)}", time.monotonic(), uses_gpu(self.waiting[0].jobs[0]))
 
 

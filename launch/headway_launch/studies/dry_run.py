@@ -1,26 +1,37 @@
 """A dry run: the runs of a session, and their time and energy as finished runs or a calibration predict."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from heapq import heapify, heapreplace
+from pathlib import Path
+from statistics import fmean
 
+from headway.contracts.errors import HeadwayError
 from headway.rollout.workers.usage import usable_cores
+from headway.store.index import RunIndex
 from headway.store.run_folder import Process, read_summary
-from headway.wording import counted
+from headway.wording import counted, environment_name
 from headway_launch.console.output import print_line
 from headway_launch.console.progress import duration
 from headway_launch.console.tables import Value, print_table, without_empty
+from headway_launch.experiments.parameters import full_mapping, pace_key
 from headway_launch.runner.calibration import Expectation, Pace, calibrate
 from headway_launch.runner.cores import share_cores
 from headway_launch.runner.jobs import CellPlan
+from headway_launch.runner.stored_run import StoredRun
 from headway_launch.studies.plan import StudyProgress
+
+_MOST_READ = 50
+"""Most finished runs of an algorithm, from the newest on, that are searched for a known pace."""
 
 
 def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan]) -> int:
     """Print the runs of a session and the estimated cost of training them; return the exit code.
 
-    A cell with finished runs on this machine costs as much as their mean; the other cells are measured, by
-    training them for a few iterations. Nothing is written to the store.
+    A cell with finished runs on this machine costs as much as their mean, and a cell with none as much per
+    iteration as finished runs with its `pace_key`. The other cells are measured, by training them for a few
+    iterations. Nothing is written to the store.
 
     Raises HeadwayError if a cell cannot be trained.
     """
@@ -38,10 +49,16 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
         return 0
     print(flush=True)  # show the list during the calibration
     shares = share_cores(config.backend, planned, usable_cores())
-    stored = [_as_finished_runs(each, cell) for each, cell in zip(progress, cells, strict=True)]
+    stored = [_as_finished_runs(each.finished, cell) for each, cell in zip(progress, cells, strict=True)]
+    finished = sum(map(bool, stored))
+    stored = [
+        known or _as_finished_runs(_alike(cell), cell) for known, cell in zip(stored, cells, strict=True)
+    ]
+    alike = sum(map(bool, stored)) - finished
     unknown = [cell for cell, known in zip(cells, stored, strict=True) if cell.jobs and not known]
     paces, modes = calibrate(unknown, shares) if unknown else ({}, "")
     rows: list[tuple[Value, ...]] = []
+    known_from: dict[str, int] = {}
     expected: list[Expectation] = []
     for name, cell, known in zip(named, cells, stored, strict=True):
         if cell.jobs:
@@ -59,8 +76,11 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
     columns = ("cell", "jobs", "s per job", "total CPU s", "total kWh", "total kg CO2eq")
     kept, kept_rows = without_empty(columns, rows, columns[-1:])
     print_table(kept, kept_rows, spare=kept[:3:-1])
-    finished = sum(map(bool, stored))
-    _print_totals(expected, shares.parallel, list(paces.values()), modes, config.backend.name, finished)
+    if finished:
+        known_from["the mean of finished runs"] = finished
+    if alike:
+        known_from["the pace of finished runs with the same environment, rollout and algorithm"] = alike
+    _print_totals(expected, shares.parallel, list(paces.values()), modes, config.backend.name, known_from)
     runs = sum(len(job.seeds) for job in planned)
     if runs != len(planned):
         most = max(len(job.seeds) for job in planned)
@@ -71,26 +91,45 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
     return 0
 
 
-def _as_finished_runs(progress: StudyProgress, cell: CellPlan) -> list[Expectation]:
-    """Return the expected cost of each job of a cell: the mean of its finished runs.
+def _alike(cell: CellPlan) -> list[StoredRun]:
+    """Return the newest finished runs of the store that have the cell's `pace_key`, of any study."""
+    config, found = cell.experiment.config, []
+    wanted, environment = pace_key(full_mapping(cell.experiment, ())), environment_name(config.env.id)
+    rows = [
+        row
+        for row in RunIndex(Path(config.store.root)).rows()
+        if row.status == "FINISHED" and row.algorithm == cell.experiment.algo_name
+    ]
+    for row in rows[: -_MOST_READ - 1 : -1]:
+        if environment_name(row.environment) == environment:
+            with suppress(HeadwayError):  # a damaged run
+                run = StoredRun.read(Path(config.store.root), Path(row.directory))
+                found += [run] if pace_key(run.mapping) == wanted else []
+    return found
+
+
+def _as_finished_runs(finished: Sequence[StoredRun], cell: CellPlan) -> list[Expectation]:
+    """Return the expected cost of each job of a cell: the mean of finished runs, each stretched to the number
+    of iterations of the cell.
 
     Empty if there are none that were trained on this machine, as many seeds at once.
     """
     host, stacks = Process.current().host, {len(job.seeds) for job in cell.jobs}
-    runs = [
-        run
-        for run in progress.finished
-        if run.record.session.host == host and {len(run.plan.stack)} == stacks
-    ]
+    runs = [run for run in finished if run.record.session.host == host and {len(run.plan.stack)} == stacks]
     if not runs:
         return []
+    stretches = [cell.experiment.config.env_steps / run.mapping["env_steps"] for run in runs]
     summaries = [read_summary(run.directory) for run in runs]
 
     def mean(name: str) -> float | None:
-        values = [float(value) for summary in summaries if (value := summary.get(name)) is not None]
+        values = [
+            float(value) * stretch
+            for summary, stretch in zip(summaries, stretches, strict=True)
+            if (value := summary.get(name)) is not None
+        ]
         return sum(values) / len(values) if values else None
 
-    seconds = sum(run.record.duration_s for run in runs) / len(runs)
+    seconds = fmean(run.record.duration_s * stretch for run, stretch in zip(runs, stretches, strict=True))
     cpu_s, kwh, kg = mean("cpu_seconds") or 0.0, mean("kwh"), mean("kg_co2")
     rates = (None if each is None else each / max(cpu_s, 1e-9) for each in (kwh, kg))
     of_seed = Expectation(seconds, cpu_s, *rates)
@@ -150,8 +189,9 @@ def _print_totals(
     paces: Sequence[Pace],
     modes: str,
     backend: str,
-    finished: int,
+    known_from: Mapping[str, int],
 ) -> None:
+    """Print the sums. `known_from`: the number of cells known from each kind of stored runs."""
     wall = makespan([each.seconds for each in expected], parallel)
     cpu_s, kwh, kg = _totals(expected)
     energy = ", energy not measured" if kwh is None else f", {kwh:.3g} kWh"
@@ -160,8 +200,8 @@ def _print_totals(
         f"\n{counted(len(expected), 'job')}, {parallel} in parallel: about {duration(wall)}, "
         f"{cpu_s:,.0f} CPU s{energy}"
     )
-    if finished:
-        print(f"Estimated as the mean of finished runs on this machine: {counted(finished, 'cell')}.")
+    for kind, number in known_from.items():
+        print(f"Estimated as {kind} on this machine: {counted(number, 'cell')}.")
     if not paces:
         return
     fewest = min(pace.iterations for pace in paces)

@@ -93,7 +93,9 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
     assert header == ["cell", "jobs", "s per job", "total CPU s", "total kWh"]
     assert [row[:2] for row in rows] == [[algo, "3"] for algo in algorithms]
     assert all(float(row[2]) > 1 and float(row[3]) > 3 and row[4:] == [""] for row in rows)
-    assert {f"measuring {algo}" for algo in algorithms} <= set(shown.err.splitlines())
+    measured = "of which no finished run tells the pace: start, an evaluation of 1 episode, 3 to 7 iterations"
+    lines = {f"measuring {algo}, {measured} of 8 x 128 steps" for algo in algorithms}
+    assert lines <= set(shown.err.splitlines())
     assert "12 jobs" in shown.out
     assert "trains a stack" not in shown.out
     assert "measured on this machine; on a cluster" not in shown.out
@@ -163,6 +165,27 @@ def test_a_cell_with_finished_runs_costs_their_mean_and_is_not_measured(
     assert "3 jobs, 1 in parallel: about 0:00:45, 15 CPU s, 0.6 kWh" in shown
     assert "Estimated as the mean of finished runs on this machine: 1 cell." in shown
     assert "The estimate is from" not in shown
+
+
+def test_a_cell_without_runs_costs_as_much_per_step_as_runs_like_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Learning rates, studies and lengths may differ, sizes of networks may not."""
+    words = ["run", "env=trivial", "algo=ippo", "energy=off", "backend=serial", "backend.parallel=1",
+             f"store.root={tmp_path}"]  # fmt: skip
+    [experiment] = compose_sweep([*words[1:], "study=toys", "env_steps=2048", "algo.lr=1e-3"])
+    keep_run(tmp_path, experiment, 0, "FINISHED", session=Process.current(), cpu_seconds=4.0, kwh=0.1)
+    monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", None)
+    longer = [*words, "study=others", "seed=0,1", "env_steps=4096", "algo.lr=1e-4", "--dry-run"]
+    assert run(longer) == 0
+    shown = capsys.readouterr().out
+    assert "ippo\t2\t20\t16\t0.4\n" in shown  # twice the 10 s, 4 CPU s and 0.1 kWh, two seeds
+    line = "Estimated as the pace of finished runs with the same environment, rollout and algorithm on this"
+    assert f"{line} machine: 1 cell." in shown
+    paced = "headway_launch.studies.dry_run.calibrate"
+    monkeypatch.setattr(paced, lambda cells, shares: ({id(cell): PACE for cell in cells}, ""))
+    assert run([*longer, "algo.model.hidden=[8]"]) == 0
+    assert "Estimated as" not in capsys.readouterr().out
 
 
 def test_consecutive_seeds_are_a_range() -> None:
