@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DayStatistics:
-    """Statistics of one day type; `LABELS` names them and their units."""
+    """Statistics of one day type; `LABELS` names them, with their units as `readable` shows them."""
 
     day_type: str
     lines: int
@@ -40,16 +40,16 @@ class DayStatistics:
     LABELS: ClassVar[Mapping[str, str]] = {
         "lines": "lines that run",
         "trips": "trips",
-        "first_h": "first departure, h",
-        "last_h": "last arrival, h",
+        "first_h": "first departure",
+        "last_h": "last arrival",
         "vehicles": "vehicles in the timetable",
         "peak_buses": "most buses at once",
-        "peak_h": "time of most buses, h",
-        "agents": "agents (slots), 5 to 24 h",
+        "peak_h": "time of most buses",
+        "agents": "agents (slots), 05:00-24:00",
         "trip_min": "mean trip, min",
-        "headway_morning": "headway 6-8 h, min",
-        "headway_midday": "headway 10-14 h, min",
-        "headway_evening": "headway 17-19 h, min",
+        "headway_morning": "headway 06:00-08:00, min",
+        "headway_midday": "headway 10:00-14:00, min",
+        "headway_evening": "headway 17:00-19:00, min",
         "boardings": "boardings",
         "boardings_per_trip": "boardings per trip",
         "busiest_hour": "busiest hour",
@@ -58,7 +58,8 @@ class DayStatistics:
 
 @dataclass(frozen=True)
 class LineStatistics:
-    """Statistics of one line on one day type; `LABELS` names them and their units."""
+    """Statistics of one line on one day type; `LABELS` names them, with their units as `readable` shows
+    them."""
 
     line: str
     patterns: int
@@ -77,10 +78,28 @@ class LineStatistics:
         "km": "km",
         "trips": "trips",
         "agents": "agents",
-        "headway_morning": "headway 6-8 h, min",
+        "headway_morning": "headway 06:00-08:00, min",
         "trip_min": "mean trip, min",
         "boardings": "boardings",
     }
+
+
+def readable(statistics: DayStatistics | LineStatistics, field: str) -> str | int | float:
+    """Return a value for people: times of day as 07:30, others with one decimal."""
+    value: str | int | float | None = getattr(statistics, field)
+    if value is None:
+        return "no departures"  # only headways can be unknown
+    if field == "busiest_hour":
+        return f"{clock(float(value))}-{clock(float(value) + 1.0)}"
+    if field.endswith("_h"):
+        return clock(float(value))
+    return round(value, 1) if isinstance(value, float) else value
+
+
+def clock(hours: float) -> str:
+    """Format hours after midnight of the service day as `25:05`."""
+    minutes = round(60.0 * hours)
+    return f"{minutes // 60:02d}:{minutes % 60:02d}"
 
 
 def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) -> list[DayStatistics]:

@@ -20,7 +20,8 @@ examples:
 'Most buses at once' is the largest number of buses on a trip at the same time in the timetable. Agents are
 the slots that the environment creates from it, with a smoothed timetable, recovery times and every bus
 assigned to one line.
-Headways are mean minutes between departures of a pattern in the given hours, the median over patterns.
+Headways are mean minutes between departures of a pattern in the given hours, the median over patterns. Times
+are of the service day: 25:30 is half past one at night.
 """
 
 
@@ -43,7 +44,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.lines < 0:
         raise HeadwayError(f"--lines must be at least 0, not {arguments.lines}")
     require_seed(arguments.seed)
-    from headway_envs.bus.scenario.description import by_day_type, by_line, meta_rows
+    from headway_envs.bus.scenario.description import by_day_type, by_line, meta_rows, readable
     from headway_envs.bus.scenario.source import scenario_tables
     from headway_envs.bus.scenario.tables import DAY_TYPES
     from headway_launch.console.tables import print_table
@@ -56,7 +57,7 @@ def execute(arguments: argparse.Namespace) -> int:
     print_table(("quantity", "value"), [*_sizes(tables), *meta_rows(tables.meta)], title=arguments.scenario)
     print()
     rows: list[tuple[Value, ...]] = [
-        (label, *(getattr(day, field) for day in days)) for field, label in type(days[0]).LABELS.items()
+        (label, *(readable(day, field) for day in days)) for field, label in type(days[0]).LABELS.items()
     ]
     print_table(("quantity per day", *(day.day_type for day in days)), rows)
     if arguments.lines:
@@ -67,7 +68,7 @@ def execute(arguments: argparse.Namespace) -> int:
         print()
         print_table(
             tuple(lines[0].LABELS.values()),
-            [tuple(getattr(line, field) for field in line.LABELS) for line in lines[: arguments.lines]],
+            [tuple(readable(line, field) for field in line.LABELS) for line in lines[: arguments.lines]],
             title=f"{min(arguments.lines, len(lines))} of {len(lines)} lines, {chosen}",
         )
     return 0
@@ -79,5 +80,5 @@ def _sizes(tables: "Tables") -> list[tuple["Value", ...]]:
         ("patterns", len(tables.patterns)),
         ("stops", len(tables.stops)),
         ("links", len(tables.links)),
-        ("links, km", float(tables.links["leg_m"].sum()) / 1000.0),
+        ("links, km", round(float(tables.links["leg_m"].sum()) / 1000.0, 1)),
     ]

@@ -26,9 +26,9 @@ examples:
   headway data realism towns/salvador env.args.boarding_s=5.9
 
 The scenario's timetable is replayed from 4 to 26 h: every trip departs at its recorded time, without added
-noise, and buses always move. Each statistic is the mean over simulated days, beside the measured value; it
-holds if their difference is within the tolerance. Trips and boardings are measured in the scenario's own
-tables; headways along the route, dwells and loads in the records of its lines (--records: SUNT's, or the
+noise, and buses always move. Each statistic is the mean over simulated days, beside the measured value, with
+a verdict: whether they differ by at most the tolerance. Trips and boardings are measured in the scenario's
+own tables; headways along the route, dwells and loads in the records of its lines (--records: SUNT's, or the
 calls.csv of `headway data csv`) or, for scenarios imported from SUNT, in those of the whole city, which are
 not used to judge an extract of a few lines.
 Headways are divided by the mean headway of the two-hour period, as is usual for frequent service; CV is their
@@ -40,10 +40,14 @@ _COLUMNS = (
     "simulated",
     "sd over days",
     "measured",
-    "difference",
-    "tolerance",
-    "within tolerance",
-    "measured on",
+    "simulated - measured",
+    "tolerance (+-)",
+    "verdict",
+    "measured in",
+)
+_LEGEND = (
+    "simulated: mean over the simulated days; sd: standard deviation between these days; verdict: whether "
+    "simulated - measured lies within -tolerance to +tolerance"
 )
 
 
@@ -91,6 +95,7 @@ def execute(arguments: argparse.Namespace) -> int:
         writer.writerow(_COLUMNS)
         writer.writerows(_cells(row) for row in rows)
         return 0
+    from headway_launch.console.output import print_line
     from headway_launch.console.tables import print_table
 
     name = Path(arguments.scenario).name
@@ -98,8 +103,9 @@ def execute(arguments: argparse.Namespace) -> int:
         _COLUMNS,
         [_cells(row) for row in rows],
         title=f"{name}, {day}: replay, always MOVE, days simulated: {arguments.days}",
-        spare=("sd over days", "tolerance", "difference"),
+        spare=("sd over days", "tolerance (+-)", "simulated - measured"),
     )
+    print_line(_LEGEND)
     judged = [row for row in rows if row.judged]
     print(f"{sum(row.holds for row in judged)} of {len(judged)} statistics are within tolerance")
     if left_out := len(rows) - len(judged):
@@ -152,6 +158,6 @@ def _cells(row: "Row") -> tuple[str | float | None, ...]:
         round(row.measured, 4),
         round(row.off, 4),
         round(row.tolerance, 4),
-        ("yes" if row.holds else "no") if row.judged else "",
+        ("within tolerance" if row.holds else "outside tolerance") if row.judged else "not judged",
         row.source,
     )

@@ -115,8 +115,10 @@ def _print_written(tables: "Tables", out: Path) -> None:
             print(f"{name}: {count:,}")
     buses = max(day.peak_buses for day in days)
     settings = next(settings for most, settings in _SETTINGS if buses <= most)
-    hours = _service_hours(days[0])
-    print(f"next: headway data describe {out}; headway run env=bus env.args.scenario={out} {hours}{settings}")
+    # An environment runs weekdays by default.
+    day_type = "" if days[0].day_type == "weekday" else f"env.args.day_type={days[0].day_type} "
+    given = f"{day_type}{_service_hours(days[0])}{settings}"
+    print(f"next: headway data describe {out}; headway run env=bus env.args.scenario={out} {given}")
 
 
 def _service_hours(day: "DayStatistics") -> str:
@@ -125,6 +127,7 @@ def _service_hours(day: "DayStatistics") -> str:
     Passengers who remain after the last bus are charged until the end of the simulated day.
     """
     from headway_envs.bus.config import BusConfig
+    from headway_envs.bus.scenario.description import clock
 
     config = BusConfig()
     if math.floor(day.first_h) <= config.start_hour and math.ceil(day.last_h) >= config.end_hour:
@@ -132,7 +135,8 @@ def _service_hours(day: "DayStatistics") -> str:
     start = min(max(math.floor(day.first_h), 4), 25)
     end = max(min(math.ceil(day.last_h), 26), start + 1)
     print(
-        f"service: {day.first_h:.1f} to {day.last_h:.1f} h, whereas {config.start_hour} to {config.end_hour} "
-        "h are simulated by default: keep start_hour and end_hour below in every command"
+        f"service: {clock(day.first_h)} to {clock(day.last_h)}, whereas {clock(config.start_hour)} to "
+        f"{clock(config.end_hour)} is simulated by default: keep start_hour and end_hour below in every "
+        "command"
     )
     return f"env.args.start_hour={start} env.args.end_hour={end} "

@@ -21,6 +21,7 @@ from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 
 PROJECT = Path(__file__).parents[4]
+GUIDE = PROJECT / "docs" / "howto" / "scenario.md"
 PARTS = ("synthetic", "gtfs", "csv", "sunt", "describe", "plot", "realism")
 HEAVY = ("pandas", "pyarrow", "numba", "scipy", "matplotlib")
 
@@ -111,10 +112,9 @@ def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
 ) -> None:
     folder, out = tmp_path / "counts", tmp_path / "mine"
     folder.mkdir()
-    page = (PROJECT / "docs" / "howto" / "scenario.md").read_text(encoding="utf-8")
-    for name, text in re.findall(r"`(\w+)\.csv`:\n\n```text\n(.*?)```", page, re.DOTALL):
-        if name != "calls":
-            (folder / f"{name}.csv").write_text(text, encoding="utf-8")
+    for name, text in _files_of_the_guide().items():
+        (folder / f"{name}.csv").write_text(text, encoding="utf-8")
+    page = GUIDE.read_text(encoding="utf-8")
     times = folder / "link_times.csv"
     intact = times.read_text(encoding="utf-8")
     times.write_text(intact.replace("165", "2:45"), encoding="utf-8")
@@ -125,7 +125,7 @@ def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
     assert run(["data", "csv", str(folder), str(out)]) == 0
     shown = capsys.readouterr().out
     assert "1 line, 2 patterns, 3 stops, 4 links\nweekday: 8 trips" in shown
-    assert "service: 7.0 to 8.1 h, whereas 5 to 24 h are simulated by default" in shown
+    assert "service: 07:00 to 08:06, whereas 05:00 to 24:00 is simulated by default" in shown
     hours = "env.args.start_hour=7 env.args.end_hour=9"
     assert f"env.args.scenario={out} {hours} " in shown.splitlines()[-1]
     assert hours in page
@@ -133,6 +133,33 @@ def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
     assert prepared.network.pattern_calls.tolist() == [0, 3, 6]
     assert "no trip leaves after 8.0 h" in prepared.notices[0]
     assert prepare(BusConfig(scenario=str(out), start_hour=7, end_hour=9)).notices == ()
+
+
+def test_a_scenario_of_sundays_alone_is_run_on_sundays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, text in _files_of_the_guide().items():
+        lines = text.splitlines()
+        if name in ("trips", "link_times", "demand"):
+            lines = [f"day_type,{lines[0]}", *(f"sunday,{line}" for line in lines[1:])]
+        (tmp_path / f"{name}.csv").write_text("\n".join(lines), encoding="utf-8")
+    out = tmp_path / "mine"
+    assert run(["data", "csv", str(tmp_path), str(out)]) == 0
+    train = capsys.readouterr().out.splitlines()[-1].split("; ")[1]
+    assert " env.args.day_type=sunday env.args.start_hour=7 env.args.end_hour=9 " in train
+    assert compose(train.removeprefix("headway run ").split()).env_config.day_type == "sunday"
+    assert run(["data", "describe", str(out)]) == 0
+    shown = capsys.readouterr().out.splitlines()
+    assert "quantity per day\tsunday" in shown
+    assert "last arrival\t08:06" in shown
+    assert "headway 17:00-19:00, min\tno departures" in shown
+
+
+def _files_of_the_guide() -> dict[str, str]:
+    """Return the CSV files of the guide's example with counts, by name."""
+    page = GUIDE.read_text(encoding="utf-8")
+    files = dict(re.findall(r"`(\w+)\.csv`:\n\n```text\n(.*?)```", page, re.DOTALL))
+    return {name: text for name, text in files.items() if name != "calls"}
 
 
 @pytest.mark.parametrize(
@@ -272,7 +299,9 @@ def test_a_description_counts_what_the_environment_runs(
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines() if line]
     values = {row[0]: row[1:] for row in rows}
     assert values["lines"] == [str(lines)]
-    assert values["agents (slots), 5 to 24 h"][0] == str(slots)
+    assert values["agents (slots), 05:00-24:00"][0] == str(slots)
+    assert values["first departure"][0] == "05:00"
+    assert values["busiest hour"][0] == "06:00-07:00"
     assert values["link_times_include_dwell"] == ["True"]
     listed = [row for row in rows if row[0].startswith("line") and len(row) == 9]
     assert len(listed) == named + 1  # and the names of the columns
@@ -292,8 +321,8 @@ def test_realism_prints_simulated_beside_measured(
     assert header[0] == "statistic"
     first = dict(zip(header, next(row for row in rows if row[0] == "headway CV, first call"), strict=True))
     assert first["simulated"] == first["measured"]
-    assert first["within tolerance"] == "yes"
-    assert first["measured on"] == "its own tables"
+    assert first["verdict"] == "within tolerance"
+    assert first["measured in"] == "its own tables"
     assert run(["data", "realism", str(out), "--days", "1", "--day-type", "sunday"]) == 0
     assert capsys.readouterr().out.endswith(" statistics are within tolerance\n")
     (out / "meta.json").write_text(json.dumps({"source": f"records of a test of doi:{DOI}"}))
@@ -301,8 +330,11 @@ def test_realism_prints_simulated_beside_measured(
     *rows, counted, left_out = capsys.readouterr().out.splitlines()
     cells = [row.split("\t") for row in rows[1:]]
     own = [row for row in cells if row[7] == "its own tables"]
-    assert {row[6] for row in cells if row not in own} == {""}
-    assert counted == f"{sum(row[6] == 'yes' for row in own)} of {len(own)} statistics are within tolerance"
+    assert {row[6] for row in cells if row not in own} == {"not judged"}
+    assert (
+        counted
+        == f"{sum(row[6] == 'within tolerance' for row in own)} of {len(own)} statistics are within tolerance"
+    )
     assert left_out.startswith(f"not judged: {len(cells) - len(own)} statistics measured over all 382")
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     assert run(["data", "realism", str(out), "--days", "1", "--records", str(tmp_path)]) == 2
