@@ -9,7 +9,8 @@ METRIC_DESCRIPTIONS = {
     "bunched_share": "share of departures with a headway below a quarter of the target",
     "denied_boardings": "number of times that a passenger was left behind by a full bus",
     "boardings": "number of boarding passengers",
-    "lost_share": "share of passengers who took the competing service or found no room to wait",
+    "lost_share": "share of arriving passengers who took the competing service or found no room to wait; not "
+    "0 under a regular service unless env.args.captive_share=1",
     "occupancy_mean": "mean of load over capacity, at departures from stops",
     "occupancy_p95": "95th percentile of load over capacity, at departures from stops",
     "in_vehicle_min": "mean time aboard per boarding, minutes",
