@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -154,16 +155,18 @@ def measure_here(task: Task) -> Measurement:
     with tempfile.TemporaryDirectory() as folder:
         algo_config: Any = build(algo.record_for(task.algo_args), task.algo_args)
         spec = make(prepared, 1).spec.for_policies
-        policy, preload = algo.acting_policy(algo_config, spec), (*entry.preload, *algo.kernels)
+        policy = algo.acting_policy(algo_config, spec)
+        preload = (*entry.preload, *algo.kernels, *algo.preload)
+        contributor = algo.contributor and partial(algo.contributor, algo_config, spec, seeds)
         job = TrainingJob(
-            RolloutPlan.of(config.rollout, make, preload, prepared, spec, policy, seeds),
+            RolloutPlan.of(
+                config.rollout, make, preload, prepared, spec, policy, seeds, make_contributor=contributor
+            ),
             algo.learner,
             algo_config,
             config,
             task.workers,
             directories=tuple(str(Path(folder, str(seed))) for seed in seeds),
-            make_contributor=algo.contributor,
-            contributor_preload=algo.preload,
         )
         train(job, record, lambda: False)
     counted = records[WARM_UP:]

@@ -13,7 +13,7 @@ from benchmarks import measurement
 from benchmarks.measurement import Task, _peak_mb, measure_here
 from headway.config.experiment import BackendConfig
 from headway.rollout.collector import Contributors
-from headway.rollout.workers.async_worker import AsynchronousPlan
+from headway.rollout.plan import RolloutPlan
 from headway.rollout.workers.worker_pool import Notify
 
 
@@ -21,7 +21,7 @@ def test_asynchronous_algorithms_are_measured_with_their_workers(monkeypatch: py
     opened: list[Contributors] = []
     open_contributors = headway.training.loop.open_contributors
 
-    def opening(backend: BackendConfig, plan: AsynchronousPlan, notify: Notify) -> Contributors:
+    def opening(backend: BackendConfig, plan: RolloutPlan, notify: Notify) -> Contributors:
         opened.append(open_contributors(backend, plan, notify))
         return opened[-1]
 

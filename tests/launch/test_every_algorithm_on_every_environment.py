@@ -1,8 +1,8 @@
 """Every registered algorithm trains on every registered environment, or refuses it in one line."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from functools import cache
+from dataclasses import dataclass, field, fields, replace
+from functools import cache, partial
 from itertools import product
 from typing import Any
 
@@ -33,7 +33,6 @@ from headway.rollout.async_collector import SerialContributors
 from headway.rollout.collector import Backend
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
-from headway.rollout.workers.async_worker import AsynchronousPlan
 from headway.training.modes import AsynchronousMode, Mode, SynchronousMode
 
 pytestmark = pytest.mark.slow
@@ -164,7 +163,8 @@ def opened(plan: RolloutPlan, entry: AlgoEntry, config: object, device: str) -> 
         collector = SerialCollector(plan)
         return learner, collector, SynchronousMode(learner, collector, 0, StartConfig(), iterations=1000)
     assert isinstance(learner, AsynchronousLearner)
-    contributors = SerialContributors(AsynchronousPlan(plan, entry.contributor, config), print)
+    make_contributor = partial(entry.contributor, config, plan.spec, plan.seeds)
+    contributors = SerialContributors(replace(plan, make_contributor=make_contributor))
     return learner, contributors, AsynchronousMode(learner, contributors, iterations=1000)
 
 

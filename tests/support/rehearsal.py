@@ -224,9 +224,6 @@ class LoneVisitors(RareVisitors):
 class Showing:
     """A contributor whose contribution is the trajectory and the number."""
 
-    def __init__(self, config: object, spec: EnvSpec, seeds: Sequence[int]) -> None:
-        del config, spec, seeds
-
     def adopt(self, published: Parameters) -> Parameters:
         return published
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -73,14 +74,13 @@ def job_of(
 
 def with_algorithm(job: TrainingJob, entry: AlgoEntry, config: object) -> TrainingJob:
     """Return `job` with another algorithm."""
-    return replace(
-        job,
-        plan=replace(job.plan, policy=entry.acting_policy(config, job.spec)),
-        make_learner=entry.learner,
-        algo_config=config,
-        make_contributor=entry.contributor,
-        contributor_preload=entry.preload,
+    plan = replace(
+        job.plan,
+        preload=(*job.plan.preload, *entry.preload),
+        policy=entry.acting_policy(config, job.spec),
+        make_contributor=entry.contributor and partial(entry.contributor, config, job.spec, job.seeds),
     )
+    return replace(job, plan=plan, make_learner=entry.learner, algo_config=config)
 
 
 def trained(job: TrainingJob, stop_after: int | None = None) -> list[Event]:

@@ -4,6 +4,7 @@ import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import gcd
 from pathlib import Path
 from typing import Self
@@ -58,12 +59,13 @@ class PlannedJob:
         plan = RolloutPlan.of(
             config.rollout,
             entry.make,
-            (*entry.preload, *algo.kernels),
+            (*entry.preload, *algo.kernels, *algo.preload),
             environment.prepared,
             spec,
             algo.acting_policy(experiment.algo_config, spec),
             seeds,
             environment.training,
+            algo.contributor and partial(algo.contributor, experiment.algo_config, spec, seeds),
         )
         later_plans = tuple(
             replace(plan, training_prepared=data, stage=stage)
@@ -78,8 +80,6 @@ class PlannedJob:
             experiment.algo_config,
             replace(config, seed=seeds),
             later_plans=later_plans,
-            make_contributor=algo.contributor,
-            contributor_preload=algo.preload,
         )
         return cls(experiment, training, environment.spec)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from headway.config.experiment import RolloutConfig
-from headway.contracts import BatchedEnv, EnvSpec, HeadwayError, Rule, TrajectoryLayout
+from headway.contracts import BatchedEnv, Contributor, EnvSpec, HeadwayError, Rule, TrajectoryLayout
 from headway.contracts.acting_policy import ActingPolicy, Parameters, hidden_size
 from headway.rollout.scaled_actions import ScaledActions
 
@@ -94,7 +94,10 @@ class RolloutPlan:
     rule_iterations: int = 0
     """Number of first iterations in which `rule` acts."""
     stage: int = 0
-    """Index of the training stage, from 0. The first episodes of each stage have different seeds."""
+    """Stage of training, from 0. Its first episodes have seeds of its own."""
+    make_contributor: Callable[[], Contributor] | None = None
+    """Makes the contributor of a worker of asynchronous training, which has a single seed; None: training is
+    synchronous."""
 
     @classmethod
     def of(
@@ -107,11 +110,12 @@ class RolloutPlan:
         policy: ActingPolicy,
         seeds: tuple[int, ...],
         training_prepared: object = None,
+        make_contributor: Callable[[], Contributor] | None = None,
     ) -> Self:
         """Return a plan with the copies, steps and block of a configuration."""
         return cls(
             make_env, preload, prepared, spec, policy, seeds, rollout.copies, rollout.steps, rollout.block,
-            training_prepared,
+            training_prepared, make_contributor=make_contributor,
         )  # fmt: skip
 
     @property
@@ -133,7 +137,7 @@ class RolloutPlan:
     def evaluation_plan(self) -> "RolloutPlan":
         """Plan of a process that only evaluates, with a minimal trajectory."""
         block = evaluation_block(self.spec)
-        return replace(self, copies=block, block=block, steps=1)
+        return replace(self, copies=block, block=block, steps=1, make_contributor=None)
 
     @property
     def groups(self) -> list[tuple[int, int]]:
@@ -186,6 +190,14 @@ class RolloutPlan:
                 f"set {self._within(limit)}"
             )
         return shards
+
+    @property
+    def block_shards(self) -> list[Shard]:
+        """Shards of one block each, for asynchronous training: all rollouts have the same size.
+
+        Raises HeadwayError as `shards` does.
+        """
+        return self.shards(self.copies // self.block)
 
     def require_one_process(self) -> None:
         """Raise HeadwayError if all copies of all replicas exceed the environment's limit per process."""

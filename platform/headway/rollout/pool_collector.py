@@ -1,11 +1,12 @@
 """Rollouts in a pool of workers, one shard of the copies per worker."""
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 from headway.contracts import Trajectory
 from headway.contracts.acting_policy import Parameters
-from headway.events import Row, Usage
-from headway.rollout.collector import concatenate_blocks, require_shards, restart_purpose
+from headway.events import Row
+from headway.rollout.collector import Collector, concatenate_blocks, require_shards, restart_purpose
 from headway.rollout.episodes import EvaluationRequest
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode, sort_episodes
@@ -25,13 +26,11 @@ class SamplingTransport(WorkerLauncher, Protocol):
         """Send the acting parameters, arrays (P, ...) by name, which all workers use until the next call."""
         ...
 
-    def close(self) -> None:
-        """Release the memory of parameters and experience, after all workers have ended."""
-        ...
 
-
-class PoolCollector:
+class PoolCollector(Collector):
     """A collector whose workers fill one trajectory, all with the same parameters."""
+
+    pool: WorkerPool
 
     def __init__(
         self,
@@ -42,14 +41,9 @@ class PoolCollector:
         timeout_s: float | None = None,
     ) -> None:
         self.plan, self.transport, self.trajectory = plan, transport, transport.trajectory
-        try:
-            self.pool = WorkerPool(transport, number, notify, plan.spec.name, timeout_s)
-        except BaseException:
-            transport.close()
-            raise
+        self.pool = WorkerPool(transport, number, notify, plan.spec.name, timeout_s)
 
     def begin(self) -> None:
-        """Start the first episodes."""
         self.pool.all([Begin(self.plan.seed_purpose)] * len(self.pool.workers))
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
@@ -59,13 +53,12 @@ class PoolCollector:
         self.pool.restart_purpose = restart_purpose(iteration)
         return sort_episodes(episode for part in done for episode in part.episodes)
 
-    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
+    def _play(self, requests: Sequence[EvaluationRequest], parameters: Parameters) -> list[list[Row]]:
         """Play evaluation episodes.
 
         Each task is one block of episodes of one replica group; the workers take the tasks in turn.
         """
         self.transport.publish(parameters)
-        requests = EvaluationRequest.split(root, episodes, greedy, self.plan.spec)
         tasks = [Evaluate(request, *group) for group in self.plan.groups for request in requests]
         played: list[list[list[Row]]] = []
         for start in range(0, len(tasks), len(self.pool.workers)):
@@ -83,20 +76,6 @@ class PoolCollector:
         return [worker.snapshot for worker in self.pool.workers]
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
-        """Continue from a checkpoint; workers without a snapshot start new episodes."""
         require_shards(snapshots, len(self.pool.workers))
         self.pool.restart_purpose = restart_purpose(iteration)
         self.pool.all([resume_command(snapshot, self.pool.restart_purpose) for snapshot in snapshots])
-
-    def process_ids(self) -> list[int]:
-        """Return the ids of the worker processes on this machine."""
-        return self.pool.process_ids()
-
-    def usage(self) -> Usage:
-        """Return the usage that the workers reported last."""
-        return self.pool.usage()
-
-    def close(self) -> None:
-        """End the workers, busy ones after a grace period of some seconds."""
-        self.pool.close()
-        self.transport.close()

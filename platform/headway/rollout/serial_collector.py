@@ -4,14 +4,12 @@ from typing import Any
 
 from headway.contracts import Trajectory
 from headway.contracts.acting_policy import Parameters
-from headway.events import Row, Usage
-from headway.rollout.collector import concatenate_blocks, require_shards, restart_purpose
-from headway.rollout.episodes import EvaluationRequest, evaluate_policy
+from headway.rollout.collector import Collector, require_shards, restart_purpose
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode, Sampler, sort_episodes
 
 
-class SerialCollector:
+class SerialCollector(Collector):
     """A collector that samples and evaluates in the calling process."""
 
     def __init__(self, plan: RolloutPlan) -> None:
@@ -22,38 +20,20 @@ class SerialCollector:
         self.sampler = Sampler(plan, plan.whole, self.trajectory)
 
     def begin(self) -> None:
-        """Start the first episodes."""
         self.sampler.begin(self.plan.seed_purpose)
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
-        """Sample one iteration."""
         return sort_episodes(self.sampler.collect(iteration, parameters))
 
-    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
-        """Play evaluation episodes, one block after another."""
-        requests = EvaluationRequest.split(root, episodes, greedy, self.plan.spec)
-        return concatenate_blocks([evaluate_policy(self.plan, parameters, request) for request in requests])
-
     def snapshot(self) -> list[Any]:
-        """Return the snapshot of the only shard."""
         return [self.sampler.snapshot()]
 
     def restore(self, snapshots: list[Any], iteration: int) -> None:
-        """Continue from a checkpoint; start new episodes if it holds no snapshot."""
         require_shards(snapshots, 1)
         if snapshots[0] is None:
             self.sampler.begin(restart_purpose(iteration))
         else:
             self.sampler.restore(snapshots[0])
 
-    def process_ids(self) -> list[int]:
-        """Return an empty list: there are no worker processes."""
-        return []
-
-    def usage(self) -> Usage:
-        """Return zero usage: there are no worker processes."""
-        return Usage()
-
-    def close(self) -> None:
-        """Close the environment."""
+    def _close(self) -> None:
         self.sampler.env.close()

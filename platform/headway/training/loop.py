@@ -36,7 +36,6 @@ from headway.rollout.backends import open_collector, open_contributors
 from headway.rollout.collector import Backend
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.sampler import Episode
-from headway.rollout.workers.async_worker import AsynchronousPlan, MakeContributor
 from headway.rollout.workers.shared_memory import give_back_memory
 from headway.rollout.workers.usage import OwnUsage
 from headway.store.checkpoint import (
@@ -91,10 +90,6 @@ class TrainingJob:
     """None: training starts from random parameters or from the plan's rule."""
     later_plans: tuple[RolloutPlan, ...] = ()
     """Plans of the stages after the first, which has `plan`; they differ in the training environment."""
-    make_contributor: MakeContributor | None = None
-    """The algorithm entry's `contributor`; None: training is synchronous."""
-    contributor_preload: tuple[str, ...] = ()
-    """The algorithm entry's `preload`."""
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -408,7 +403,7 @@ def _open_mode(
     Raises HeadwayError if the algorithm's contributor and learner do not match.
     """
     backend = job.config.backend
-    if job.make_contributor is None:
+    if plan.make_contributor is None:
         collector = open_collector(backend, plan, job.workers, notify)
         config = job.config
         mode = SynchronousMode(learner, collector, job.plan.rule_iterations, config.start, config.iterations)
@@ -418,8 +413,7 @@ def _open_mode(
             f"the entry of algo={job.config.algo.get('name')} has a contributor, but its learner is not "
             "a headway.contracts.AsynchronousLearner; add the missing methods, or leave the contributor out"
         )
-    asynchronous = AsynchronousPlan(plan, job.make_contributor, job.algo_config, job.contributor_preload)
-    contributors = open_contributors(backend, asynchronous, notify)
+    contributors = open_contributors(backend, plan, notify)
     return contributors, AsynchronousMode(learner, contributors, job.config.iterations)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,6 @@ from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
 from headway.rollout.async_collector import SerialContributors
 from headway.rollout.episodes import evaluate_rule
 from headway.rollout.plan import RolloutPlan
-from headway.rollout.workers.async_worker import AsynchronousPlan
 from headway.training.modes import AsynchronousMode
 from headway_algos.config import ModelConfig
 from headway_algos.on_policy.a3c_learner import A2CContributor, AsynchronousA2CLearner
@@ -273,11 +273,14 @@ def _learned(
     prepared, config = toy.prepare(toy.config(**arguments)), entry.config(**settings)
     spec = toy.make(prepared, 1).spec
     policy = entry.acting_policy(config, spec)
-    plan = RolloutPlan(toy.make, (), prepared, spec, policy, (SEED,), copies, steps, copies // 4)
     learner = entry.learner(config, spec, (SEED,), "cpu")
     assert isinstance(learner, AsynchronousA2CLearner)
     assert entry.contributor is not None
-    contributors = SerialContributors(AsynchronousPlan(plan, entry.contributor, config), print)
+    plan = RolloutPlan(
+        toy.make, (), prepared, spec, policy, (SEED,), copies, steps, copies // 4,
+        make_contributor=partial(entry.contributor, config, spec, (SEED,)),
+    )  # fmt: skip
+    contributors = SerialContributors(plan)
     mode = AsynchronousMode(learner, contributors, iterations=1000)
     contributors.begin()
     for iteration in range(1, iterations + 1):

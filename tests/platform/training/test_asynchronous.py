@@ -3,7 +3,7 @@
 import multiprocessing
 import pickle
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -27,13 +27,12 @@ from rehearsal import (
 from runs import COPIES, GRU, STEPS, Backend, Log, job_of, logs_of, trained, with_algorithm
 
 from headway.config.experiment import BackendConfig
-from headway.contracts import Contribution, Contributor, EnvSpec, HeadwayError, Trajectory
+from headway.contracts import Contribution, Contributor, HeadwayError, Trajectory
 from headway.events import Event, Notice, Started, Usage
 from headway.rollout.async_collector import PoolContributors, SerialContributors
 from headway.rollout.backends import open_contributors
 from headway.rollout.collector import Contributors
 from headway.rollout.serial_collector import SerialCollector
-from headway.rollout.workers.async_worker import AsynchronousPlan
 from headway.rollout.workers.process_workers import GRACE_S
 from headway.rollout.workers.worker import Contribute, Done
 from headway.rollout.workers.worker_pool import WorkerFailedError
@@ -57,6 +56,11 @@ def _job(
     entry, model = ENTRIES[algorithm], ModelConfig((8,), core=core, **(GRU if core == "gru" else {}))
     more: dict[str, Any] = {"application": application} if algorithm == "a3c" else {}
     return with_algorithm(job_of(folder, **choices), entry, entry.config(model=model, **more))
+
+
+def _showing(job: TrainingJob) -> TrainingJob:
+    """The job with workers that contribute their trajectories."""
+    return replace(job, plan=replace(job.plan, make_contributor=Showing))
 
 
 def _log(job: TrainingJob) -> Log:
@@ -181,10 +185,10 @@ def test_a_resumed_run_in_order_of_arrival_notifies_that_its_curve_differs(tmp_p
 def test_a_process_holds_no_more_copies_than_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rare = RareVisitors, VISITORS
     assert len(_log(_job("a3c", tmp_path, env=rare, backend="process", iterations=1))["curve"]) == 2
-    with pytest.raises(HeadwayError, match=r"would hold 4; set backend=process, or rollout\.copies=2$"):
+    with pytest.raises(HeadwayError, match=r"set backend=process, rollout\.block=2 and backend\.workers=2$"):
         trained(_job("a3c", tmp_path / "serial", env=rare))
     monkeypatch.setattr(RareVisitors, "held", 0)
-    with pytest.raises(HeadwayError, match=r"would hold 4; set rollout\.block=2$"):
+    with pytest.raises(HeadwayError, match=r"hold more; set rollout\.block=2 and backend\.workers=2$"):
         trained(_job("a3c", tmp_path / "large", env=rare, backend="process", block=4))
 
 
@@ -205,19 +209,17 @@ def test_a_contributor_with_a_synchronous_learner_is_refused_by_the_name_of_its_
 
 @contextmanager
 def _opened(job: TrainingJob, notices: list[str]) -> Iterator[PoolContributors]:
-    assert job.make_contributor is not None
-    plan = AsynchronousPlan(job.plan, job.make_contributor, job.algo_config, job.contributor_preload)
-    with closing(open_contributors(BackendConfig("process"), plan, notices.append)) as contributors:
+    with closing(open_contributors(BackendConfig("process"), job.plan, notices.append)) as contributors:
         assert isinstance(contributors, PoolContributors)
         contributors.begin()
         yield contributors
 
 
-def test_the_evaluator_is_closed_if_contributors_cannot_start(tmp_path: Path) -> None:
-    def unpicklable(config: object, spec: EnvSpec, seeds: Sequence[int]) -> Contributor:
+def test_no_process_is_left_if_contributors_cannot_start(tmp_path: Path) -> None:
+    def unpicklable() -> Contributor:
         raise AssertionError("no worker is started")
 
-    plan = AsynchronousPlan(_job("a3c", tmp_path).plan, unpicklable, None)
+    plan = replace(_job("a3c", tmp_path).plan, make_contributor=unpicklable)
     before = set(multiprocessing.active_children())
     with pytest.raises((pickle.PicklingError, AttributeError), match="unpicklable"):
         open_contributors(BackendConfig("process"), plan, print)
@@ -230,7 +232,7 @@ def test_workers_sample_the_same_as_the_serial_collector_on_their_copies(tmp_pat
     together = SerialCollector(plan)
     together.begin()
     together.collect(1, acting)
-    contributors = SerialContributors(AsynchronousPlan(plan, Showing, None), print)
+    contributors = SerialContributors(replace(plan, make_contributor=Showing))
     contributors.begin()
     for worker in range(2):
         contributors.assign(worker, Contribute(1, 0, acting))
@@ -282,7 +284,7 @@ def test_usage_includes_rollouts_in_progress_and_closing_does_not_wait_for_them(
 
 def test_other_workers_continue_while_the_rollout_of_a_dead_worker_is_repeated(tmp_path: Path) -> None:
     """A checkpoint written meanwhile holds the state before the rollout."""
-    job = replace(_job("a3c", tmp_path, "arrival"), make_contributor=Showing)
+    job = _showing(_job("a3c", tmp_path, "arrival"))
     acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
     with _opened(job, []) as contributors:
         before = contributors.pool.workers[0].snapshot
@@ -306,7 +308,7 @@ def test_other_workers_continue_while_the_rollout_of_a_dead_worker_is_repeated(t
 
 def test_restarted_episodes_differ_after_every_death_of_a_worker(tmp_path: Path) -> None:
     faulty = FaultyVisitors, FaultConfig("kill", str(tmp_path), at=1, copies=2, times=0, snapshots=False)
-    job = replace(_job("a3c", tmp_path, "arrival", env=faulty), make_contributor=Showing)
+    job = _showing(_job("a3c", tmp_path, "arrival", env=faulty))
     acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
     faced = []
     with _opened(job, notices := []) as contributors:
@@ -326,7 +328,7 @@ def test_restarted_episodes_differ_after_every_death_of_a_worker(tmp_path: Path)
 
 def test_contributions_are_each_applied_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two per iteration in order of arrival, although a worker hangs for a while, then dies with one."""
-    job = replace(_job("a3c", tmp_path, "arrival"), make_contributor=Showing)
+    job = _showing(_job("a3c", tmp_path, "arrival"))
     acting = job.make_learner(job.algo_config, job.spec, job.seeds, "cpu").acting_parameters()
     learner: Any = _Recorder(in_turns=False, acting=acting)
     results: list[tuple[int, int]] = []

@@ -4,6 +4,7 @@ import multiprocessing
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from multiprocessing import connection
 from multiprocessing.context import ForkServerProcess
 from typing import Any
@@ -15,7 +16,7 @@ from headway.rollout.forks import without_main_module
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.workers.shared_memory import SharedBlock, SharedPickle
-from headway.rollout.workers.worker import Command, CommandFailed, Done, Setup, WorkerSetup, run_worker
+from headway.rollout.workers.worker import Command, CommandFailed, Done, WorkerSetup, run_worker
 from headway.rollout.workers.worker_pool import Notify, WorkerConnection
 
 GRACE_S = 5.0
@@ -34,10 +35,12 @@ def process_collector(
 class ProcessLauncher:
     """Starts worker processes with multiprocessing's forkserver."""
 
-    def __init__(self, setups: Sequence[Setup], preload: Sequence[str], plan: SharedPickle[Any]) -> None:
-        """`setups` has one entry per shard, all with the same `plan`; the forkserver imports `preload`."""
-        self.setups, self.plan = setups, plan
+    def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
+        self.plan = SharedPickle.of(plan)
+        self.setups = [WorkerSetup(self.plan, shard) for shard in shards]
         self.context = multiprocessing.get_context("forkserver")
+        policy = type(plan.policy).__module__
+        preload = [*plan.preload, *([policy] if policy != "__main__" else [])]
         self.context.set_forkserver_preload(["headway.rollout.workers.worker", *preload])
 
     def start(self, shard: int) -> "ProcessConnection":
@@ -72,24 +75,25 @@ class SharedMemoryTransport(ProcessLauncher):
     """Starts sampling worker processes whose trajectory and parameters lie in shared memory."""
 
     def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
-        pickled, shapes = SharedPickle.of(plan), plan.policy.parameter_shapes(plan.replicas)
+        super().__init__(plan, shards)
+        shapes = plan.policy.parameter_shapes(plan.replicas)
         self.blocks = (
             SharedBlock.create(plan.layout.nbytes),
             SharedBlock.create(block_nbytes(shapes), "parameters"),
         )
         self.trajectory = Trajectory.from_buffer(self.blocks[0].buffer, plan.layout)
         self.parameters = arrays_in(self.blocks[1].buffer, shapes)
-        setups = [WorkerSetup(pickled, shard, *self.blocks) for shard in shards]
-        policy = type(plan.policy).__module__
-        super().__init__(setups, [*plan.preload, *([policy] if policy != "__main__" else [])], pickled)
+        trajectory, memory = self.blocks
+        self.setups = [replace(each, trajectory=trajectory, parameters=memory) for each in self.setups]
 
     def publish(self, parameters: Parameters) -> None:
         """Copy the parameters to shared memory."""
         for name, array in self.parameters.items():
             array[...] = parameters[name]
 
-    def close(self) -> None:
-        """Close the shared blocks."""
+    def dismiss(self, links: Sequence[WorkerConnection]) -> None:
+        """End the workers and close the shared blocks."""
+        super().dismiss(links)
         for block in self.blocks:
             block.close()
 

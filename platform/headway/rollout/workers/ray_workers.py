@@ -10,7 +10,7 @@ import re
 import socket
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -32,8 +32,7 @@ from headway.rollout.workers.worker import (
     CommandFailed,
     CommandServer,
     Done,
-    SamplingService,
-    Setup,
+    WorkerSetup,
 )
 from headway.rollout.workers.worker_pool import Notify, WorkerConnection
 
@@ -53,24 +52,6 @@ def pickled_whole(plan: object) -> bytes:
     """Return a plan pickled together with its definitions from the main module, which workers lack."""
     pickled: bytes = ray.cloudpickle.dumps(plan)
     return pickled
-
-
-@dataclass(frozen=True)
-class ShardSetup:
-    """Setup of a Ray worker that samples."""
-
-    plan: bytes
-    """A pickled `RolloutPlan`."""
-    shard: Shard
-    parameters: dict[str, NDArray[Any]] = field(default_factory=dict)
-    """Parameters of all replicas, updated before each command."""
-
-    def open(self) -> SamplingService:
-        """Return the sampling service, with a trajectory of the shard only."""
-        plan: RolloutPlan = pickle.loads(self.plan)
-        shard_plan = plan.of_replicas(self.shard.first_replica, self.shard.replicas)
-        trajectory = Trajectory.allocate(replace(shard_plan, copies=self.shard.count).layout)
-        return SamplingService(plan, self.shard, trajectory, self.parameters, own=True)
 
 
 @dataclass(frozen=True)
@@ -107,7 +88,7 @@ class RayRolloutWorker:
     """A rollout worker on a Ray cluster, which receives commands as remote calls."""
 
     def __init__(self, setup: bytes) -> None:
-        self.setup: Setup = pickle.loads(setup)
+        self.setup: WorkerSetup = pickle.loads(setup)
         self.server = CommandServer(self.setup)
 
     def place(self) -> Place:
@@ -120,11 +101,11 @@ class RayRolloutWorker:
         The experience is returned as arrays, which Ray moves without pickling.
         """
         command: Command = pickle.loads(pickled)
-        if isinstance(self.setup, ShardSetup) and parameters is not None:
+        if isinstance(self.setup.parameters, dict) and parameters is not None:
             self.setup.parameters.update(parameters)
         answer = bytes(self.server.answer(command))
         service = self.server.service
-        if isinstance(command, Collect) and isinstance(service, SamplingService):
+        if isinstance(command, Collect) and service is not None:
             return answer, experience_of(service.trajectory)
         return answer, None
 
@@ -132,10 +113,13 @@ class RayRolloutWorker:
 class RayLauncher:
     """Starts Ray workers, spread over the cluster's nodes."""
 
-    def __init__(self, backend: BackendConfig, setups: Sequence[Setup], notify: Notify) -> None:
+    def __init__(
+        self, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
+    ) -> None:
         """Connect to the cluster. Raises HeadwayError if that fails."""
         self.notify, self.here = notify, Place.here()
-        self.setups = [pickle.dumps(setup) for setup in setups]
+        pickled = pickled_whole(plan)
+        self.setups = [pickle.dumps(WorkerSetup(pickled, shard)) for shard in shards]
         self.cpus = backend.cpus_per_worker
         self.other_machines: set[str] = set()
         """Identifiers of other machines that workers run on."""
@@ -204,8 +188,7 @@ class RaySamplingTransport(RayLauncher):
     def __init__(
         self, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
     ) -> None:
-        pickled = pickled_whole(plan)
-        super().__init__(backend, [ShardSetup(pickled, shard) for shard in shards], notify)
+        super().__init__(backend, plan, shards, notify)
         self.trajectory = Trajectory.allocate(plan.layout)
         self.parts = [shard_views(self.trajectory, plan.replicas, shard) for shard in shards]
 
@@ -218,9 +201,6 @@ class RaySamplingTransport(RayLauncher):
     def store_experience(self, shard: int, experience: Experience) -> None:
         """Copy a worker's experience to its place in the trajectory."""
         place_experience(self.parts[shard], experience)
-
-    def close(self) -> None:
-        """Do nothing: the object store frees everything when the workers have ended."""
 
 
 class RayConnection:

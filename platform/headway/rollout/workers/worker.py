@@ -4,16 +4,21 @@ The loop over environment steps is `Sampler.collect`.
 """
 
 import os
+import pickle
 import signal
 import threading
 import time
 import traceback
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from multiprocessing import connection, parent_process, reduction
-from typing import Any, Protocol
+from types import MappingProxyType
+from typing import Any
 
-from headway.contracts import Contribution, HeadwayError, Trajectory
+from numpy.typing import NDArray
+
+from headway.contracts import Contribution, Contributor, HeadwayError, Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway.contracts.errors import one_line
 from headway.contracts.trajectory import arrays_in
@@ -28,23 +33,28 @@ from headway.rollout.workers.usage import OwnUsage
 
 @dataclass(frozen=True)
 class WorkerSetup:
-    """Setup of a worker that samples into a shared trajectory."""
+    """The data that a worker starts with."""
 
-    plan: SharedPickle[RolloutPlan]
+    plan: SharedPickle[RolloutPlan] | bytes
+    """A pickled `RolloutPlan`, in shared memory if the worker is on this machine."""
     shard: Shard
-    trajectory: SharedBlock
-    parameters: SharedBlock
+    trajectory: SharedBlock | None = None
+    """Trajectory of all workers; None: the worker has one of its shard."""
+    parameters: SharedBlock | dict[str, NDArray[Any]] = field(default_factory=dict)
+    """Parameters of all replicas, which change between commands; empty for contributors."""
 
-    def open(self) -> "SamplingService":
-        """Return the sampling service."""
-        plan = self.plan.load()
-        shapes = plan.policy.parameter_shapes(plan.replicas)
-        return SamplingService(
-            plan,
-            self.shard,
-            Trajectory.from_buffer(self.trajectory.buffer, plan.layout),
-            arrays_in(self.parameters.buffer, shapes),
-        )
+    def open(self) -> "WorkerService":
+        """Return the worker's service.
+
+        Called in the worker at its first command, so that a loading error becomes an answer.
+        """
+        plan: RolloutPlan = pickle.loads(self.plan) if isinstance(self.plan, bytes) else self.plan.load()
+        if isinstance(self.parameters, dict):
+            return WorkerService(plan, self.shard, self.parameters)
+        assert self.trajectory is not None
+        parameters = arrays_in(self.parameters.buffer, plan.policy.parameter_shapes(plan.replicas))
+        trajectory = Trajectory.from_buffer(self.trajectory.buffer, plan.layout)
+        return WorkerService(plan, self.shard, parameters, trajectory)
 
 
 @dataclass(frozen=True)
@@ -110,25 +120,6 @@ class Done:
     """Wall time of the command in the worker."""
 
 
-class Service(Protocol):
-    """Executes the commands of one worker."""
-
-    def execute(self, command: Command) -> Done:
-        """Execute a command."""
-        ...
-
-
-class Setup(Protocol):
-    """The data that a worker starts with."""
-
-    def open(self) -> Service:
-        """Return the worker's service.
-
-        Called in the worker at its first command, so that a loading error becomes an answer.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class CommandFailed:
     """The answer to a command that raised an exception."""
@@ -139,7 +130,7 @@ class CommandFailed:
     """The exception was a HeadwayError: the user must act, and repeating the command is useless."""
 
 
-def run_worker(setup: Setup, commands: connection.Connection) -> None:
+def run_worker(setup: WorkerSetup, commands: connection.Connection) -> None:
     """Execute commands until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session handles Ctrl-C
     threading.Thread(target=_exit_with_parent, daemon=True).start()
@@ -159,9 +150,9 @@ def run_worker(setup: Setup, commands: connection.Connection) -> None:
 class CommandServer:
     """Opens a worker's service at the first command and turns its exceptions into answers."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: WorkerSetup) -> None:
         self.setup = setup
-        self.service: Service | None = None
+        self.service: WorkerService | None = None
         self._process_id = os.getpid()
 
     def answer(self, command: Command) -> memoryview:
@@ -183,20 +174,23 @@ class CommandServer:
             return reduction.ForkingPickler.dumps(failed)
 
 
-class SamplingService:
-    """The service of a worker that samples one shard and evaluates."""
+class WorkerService:
+    """Executes a worker's commands: samples one shard, evaluates, contributes in asynchronous training."""
 
     def __init__(
         self,
         plan: RolloutPlan,
         shard: Shard,
-        trajectory: Trajectory,
-        parameters: Parameters,
-        own: bool = False,
+        parameters: Mapping[str, NDArray[Any]] = MappingProxyType({}),
+        trajectory: Trajectory | None = None,
     ) -> None:
-        """`parameters` are those of all replicas and may change between commands. `own`: see `Sampler`."""
-        self.plan, self.shard, self.own = plan, shard, own
-        self.trajectory, self.parameters = trajectory, parameters
+        """`parameters` are those of all replicas and may change between commands. `trajectory` is that of all
+        workers; None: the worker has one of its shard."""
+        self.plan, self.shard, self.parameters, self.own = plan, shard, parameters, trajectory is None
+        if trajectory is None:
+            of_shard = plan.of_replicas(shard.first_replica, shard.replicas)
+            trajectory = Trajectory.allocate(replace(of_shard, copies=shard.count).layout)
+        self.trajectory = trajectory
         self.own_usage = OwnUsage()
 
     @cached_property
@@ -204,9 +198,22 @@ class SamplingService:
         """Sampler of the shard, created on first use: workers that only evaluate need none."""
         return Sampler(self.plan, self.shard, self.trajectory, self.own)
 
+    @cached_property
+    def contributor(self) -> Contributor | None:
+        """Computes contributions; None in synchronous training."""
+        return None if self.plan.make_contributor is None else self.plan.make_contributor()
+
+    def snapshot(self) -> Any:  # noqa: ANN401 - opaque, plain
+        """Return the state between two commands; None if the environment has no snapshots."""
+        state = self.sampler.snapshot()
+        if state is None or self.contributor is None:
+            return state
+        return {"sampler": state, "learned": self.contributor.snapshot()}
+
     def execute(self, command: Command) -> Done:
         """Execute a command."""
         episodes: list[Episode] = []
+        contribution: Contribution | None = None
         match command:
             case Evaluate(request=request, first_replica=first, replicas=number):
                 plan, parameters = self.plan, self.plan.parameters_of(self.parameters, first, number)
@@ -215,11 +222,18 @@ class SamplingService:
                 return Done([], evaluation, None, self.own_usage.read())
             case Begin(purpose=purpose):
                 self.sampler.begin(purpose)
+            case Restore(snapshot=snapshot) if self.contributor is not None:
+                self.sampler.restore(snapshot["sampler"])
+                self.contributor.restore(snapshot["learned"])
             case Restore(snapshot=snapshot):
                 self.sampler.restore(snapshot)
             case Collect(iteration=iteration):
                 episodes = self.sampler.collect(iteration, self.parameters)
-        return Done(episodes, [], self.sampler.snapshot(), self.own_usage.read())
+            case Contribute(number=number, published=published):
+                assert self.contributor is not None
+                episodes = self.sampler.collect(number, self.contributor.adopt(published))
+                contribution = self.contributor.contribute(self.trajectory, number)
+        return Done(episodes, [], self.snapshot(), self.own_usage.read(), contribution)
 
 
 def _exit_with_parent() -> None:

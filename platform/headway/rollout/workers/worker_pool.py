@@ -1,7 +1,7 @@
 """A pool of workers on any launcher: sends commands, receives answers, replaces workers that fail."""
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, Protocol
@@ -154,6 +154,8 @@ class WorkerPool:
         """CPU seconds of workers that were replaced."""
         self.restart_purpose = restart_purpose(0)
         """Seed purpose of the episodes that a replacement starts if it has no snapshot."""
+        self.unfinished: Collection[int] = ()
+        """Workers whose commands may stay unanswered: their CPU time counts; `close` kills them at once."""
         self.workers: list[_Worker] = []
         try:
             for shard in range(number):
@@ -250,17 +252,17 @@ class WorkerPool:
         ids = [worker.link.process_id for worker in self.workers]
         return [process_id for process_id in ids if process_id is not None]
 
-    def usage(self, busy: Iterable[int] = ()) -> Usage:
-        """Return the usage that the workers reported last, with the current CPU seconds of busy ones."""
-        for shard in busy:
+    def usage(self) -> Usage:
+        """Return the usage that the workers reported last, with the present CPU time of the `unfinished`."""
+        for shard in self.unfinished:
             process_id = self.workers[shard].link.process_id
             if process_id is not None:
                 self.workers[shard].raise_cpu_seconds(cpu_seconds_of(process_id))
         return sum((worker.usage for worker in self.workers), Usage(self.lost_cpu_seconds))
 
-    def close(self, killed: Iterable[int] = ()) -> None:
-        """End the workers: those in `killed` at once, others that are busy after a grace period."""
-        for shard in killed:
+    def close(self) -> None:
+        """End the workers: those `unfinished` at once, others that are busy after a grace period."""
+        for shard in self.unfinished:
             self.workers[shard].link.kill()
         self.launcher.dismiss([worker.link for worker in self.workers])
 

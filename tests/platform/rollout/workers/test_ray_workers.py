@@ -34,7 +34,6 @@ from headway.contracts import HeadwayError
 from headway.rollout.backends import open_collector, open_contributors
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.workers import ray_cluster
-from headway.rollout.workers.async_worker import AsynchronousPlan
 from headway.rollout.workers.worker import Contribute
 from headway.rollout.workers.worker_pool import WorkerFailedError
 
@@ -219,8 +218,8 @@ def test_an_error_of_the_user_s_is_raised_without_a_replacement(tmp_path: Path) 
 @needs_ray
 @pytest.mark.usefixtures("local")
 def test_contributors_run_in_ray_workers_too() -> None:
-    rollout = plan_of_toy("visitors", copies=4, block=2)
-    plan, published = AsynchronousPlan(rollout, Showing, None), parameters_of(rollout)
+    plan = replace(plan_of_toy("visitors", copies=4, block=2), make_contributor=Showing)
+    published = parameters_of(plan)
     shown: dict[str, list[Arrays]] = {}
     for name in ("serial", "ray"):
         with closing(open_contributors(backend_of(name), plan, print)) as contributors:
@@ -275,7 +274,7 @@ if __name__ == "__main__":
 def test_a_worker_with_other_versions_is_refused() -> None:
     from headway.rollout.workers.ray_workers import Place, RayLauncher
 
-    launcher = RayLauncher(backend_of("ray"), [], print)
+    launcher = RayLauncher(backend_of("ray"), plan_of_toy("trivial"), [], print)
     try:
         here = Place.here()
         launcher.check_place(0, here)
