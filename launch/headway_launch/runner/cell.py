@@ -23,7 +23,7 @@ from headway_launch.experiments.parameters import cell_parameters, full_mapping,
 from headway_launch.runner.comparison import rule_episodes
 from headway_launch.runner.cores import CoreShares, workers_of
 from headway_launch.runner.jobs import CellPlan, PlannedJob
-from headway_launch.runner.results import SeedResult, stored_result
+from headway_launch.runner.results import SeedResult
 from headway_launch.runner.stored_run import StoredRun
 
 _TO_METRIC_NAME = str.maketrans(".:", "__")
@@ -39,8 +39,7 @@ class SessionCell:
     def __init__(self, store: SessionStore, plan: CellPlan) -> None:
         experiment = plan.experiment
         self.plan, self.experiment, self.config = plan, experiment, experiment.config
-        finished = (stored_result(folder) for folder in plan.finished)
-        self.results: dict[str, SeedResult] = {result.run_id: result for result in finished}
+        self.results = {folder.name: SeedResult.read(folder) for folder in plan.finished}
         """Result of each run that has ended, in this session or an earlier one, by the run's identity."""
         self.rules: Rules = {}
         self.touched = bool(plan.jobs)
@@ -158,7 +157,7 @@ class SessionCell:
     def in_order(self) -> list[SeedResult]:
         """Return the results in the order of the experiment's seeds."""
         order = {seed: place for place, seed in enumerate(self.config.seed)}
-        return sorted(self.results.values(), key=lambda result: order.get(result.seed, 0))
+        return sorted(self.results.values(), key=lambda result: order.get(result.record.seed, 0))
 
     def _stored_rules(self) -> Rules | None:
         """Return the stored results of all rules on all evaluation episodes; None if any are missing."""

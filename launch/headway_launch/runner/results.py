@@ -5,12 +5,12 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
 
 from headway.config.experiment import ExperimentConfig
 from headway.contracts.errors import HeadwayError
 from headway.events import Row
-from headway.store.run_folder import RunRecord, read_summary
+from headway.store.run_folder import RunRecord, Status, read_summary
 from headway.wording import counted, environment_name
 from headway_launch.console.output import print_line
 from headway_launch.console.tables import Value, print_table, without_empty
@@ -20,20 +20,20 @@ from headway_launch.runner.comparison import print_comparison
 if TYPE_CHECKING:
     from headway.store.session import Run
 
-_USE = ("cpu_seconds", "kwh", "kg_co2", "cpu_kwh", "gpu_kwh", "ram_kwh")
 AUC_HEADING, CO2_HEADING = "AUC (own range)", "kg CO2eq"
 _FINAL, _MEAN_FINAL = "final reward", "mean final reward"
-_COLUMNS = (
-    "seed",
-    "status",
-    _FINAL,
-    AUC_HEADING,
-    "env steps",
-    "steps/s",
-    "CPU s",
-    "kWh",
-    CO2_HEADING,
-)
+_USE = ("cpu_seconds", "kwh", "kg_co2", "cpu_kwh", "gpu_kwh", "ram_kwh")
+_METRICS = {
+    _FINAL: "final_reward",
+    AUC_HEADING: "auc",
+    "env steps": "env_steps",
+    "steps/s": "steps_per_second",
+    "CPU s": "cpu_seconds",
+    "kWh": "kwh",
+    CO2_HEADING: "kg_co2",
+}
+"""Columns of the table of seeds, and the metrics of a summary that they show."""
+_COLUMNS = ("seed", "status", *_METRICS)
 _CELL_COLUMNS = (
     "cell",
     "finished",
@@ -52,97 +52,48 @@ _OPTIONAL = ("steps/s", CO2_HEADING)
 
 @dataclass(frozen=True)
 class SeedResult:
-    """Final metrics of one seed; None for a metric that is not known."""
+    """The stored results of one seed."""
 
-    seed: int
-    status: str
-    run_id: str
-    directory: str
-    final_reward: float | None
-    """Mean of the evaluation return over the last 20% of the curve's steps."""
-    auc: float | None
-    """Area under the evaluation curve, normalised by the curve's own range; None if the curve has too few
-    points."""
-    env_steps: int
-    """Environment steps up to the last checkpoint."""
-    steps_per_second: float | None
-    use: Mapping[str, float | None]
-    """CPU seconds, energy and CO2 over all sessions: the seed's equal share of the use of its stack."""
-    energy_modes: Mapping[str, str]
-    """Source of the power of each part: for example measured or estimated."""
+    directory: Path
+    record: RunRecord
+    summary: Mapping[str, Any]
+    """Metrics as `run_summary` returns them; None or missing: not known."""
+
+    @classmethod
+    def read(cls, directory: Path) -> Self:
+        """Return the results in a run's folder. Raises HeadwayError if its files cannot be read."""
+        record = RunRecord.read(directory)
+        return cls(directory, record, {"env_steps": record.durable_env_steps, **read_summary(directory)})
 
     @property
-    def summary(self) -> dict[str, float | int | str | None]:
-        """The metrics as stored in the run folder."""
-        return {
-            "final_reward": self.final_reward,
-            "auc": self.auc,
-            "env_steps": self.env_steps,
-            "steps_per_second": self.steps_per_second,
-            **self.use,
-            **self.energy_modes,
-        }
+    def status(self) -> Status:
+        """Status, with KILLED for a run whose session process ended without recording it."""
+        return self.record.settled_status
 
     @property
     def row(self) -> tuple[Value, ...]:
         """The metrics as a row of the table."""
-        return (
-            self.seed,
-            self.status,
-            self.final_reward,
-            self.auc,
-            self.env_steps,
-            self.steps_per_second,
-            self.use["cpu_seconds"],
-            self.use["kwh"],
-            self.use["kg_co2"],
-        )
+        return (self.record.seed, self.status, *map(self.summary.get, _METRICS.values()))
 
 
-def seed_result(
-    run: "Run",
-    status: str,
-    steps_per_second: float | None,
-    mode: str,
-    used: Row,
-    energy_modes: Mapping[str, str],
-) -> SeedResult:
-    """Return the metrics of a run whose training has ended, from its log and its last energy sample."""
+def run_summary(
+    run: "Run", steps_per_second: float | None, mode: str, used: Row, energy_modes: Mapping[str, str]
+) -> dict[str, float | int | str | None]:
+    """Return the summary of a run whose training has ended, from its log and its last energy sample.
+
+    `final_reward` is the mean evaluation return over the last 20% of the curve's steps, `auc` the area under
+    the evaluation curve, normalised by its own range. CPU seconds, energy and CO2 are over all sessions: the
+    seed's equal share of the use of its stack. `energy_modes`: source of the power of each part.
+    """
     final, area = curve_metrics(run, mode)
-    return SeedResult(
-        seed=run.record.seed,
-        status=status,
-        run_id=run.run_id,
-        directory=str(run.directory),
-        final_reward=final,
-        auc=area,
-        env_steps=run.record.durable_env_steps,
-        steps_per_second=steps_per_second,
-        use={name: float(used[name]) if name in used else None for name in _USE},
-        energy_modes=energy_modes,
-    )
-
-
-def stored_result(directory: Path) -> SeedResult:
-    """Return the metrics of a run that ended in an earlier session, as stored by that session."""
-    record, summary = RunRecord.read(directory), read_summary(directory)
-
-    def metric(name: str) -> float | None:
-        value = summary.get(name)
-        return None if value is None else float(value)
-
-    return SeedResult(
-        seed=record.seed,
-        status=record.settled_status,
-        run_id=record.run_id,
-        directory=str(directory),
-        final_reward=metric("final_reward"),
-        auc=metric("auc"),
-        env_steps=record.durable_env_steps,
-        steps_per_second=metric("steps_per_second"),
-        use={name: metric(name) for name in _USE},
-        energy_modes={name: str(value) for name, value in summary.items() if name.startswith("energy.")},
-    )
+    return {
+        "final_reward": final,
+        "auc": area,
+        "env_steps": run.record.durable_env_steps,
+        "steps_per_second": steps_per_second,
+        **{name: float(used[name]) if name in used else None for name in _USE},
+        **energy_modes,
+    }
 
 
 def curve_metrics(run: "Run", mode: str) -> tuple[float | None, float | None]:
@@ -189,7 +140,7 @@ def print_results(
         print_comparison(
             str(config.algo["name"]), _final_episodes(config.evaluation.modes[0], results), rules
         )
-    folders = [Path(result.directory) for result in results]
+    folders = [result.directory for result in results]
     metric = f"evaluation_{config.evaluation.modes[0]}/return"
     if line := start_line(str(config.algo["name"]), Path(config.store.root), folders, metric):
         print_line(line)
@@ -206,12 +157,14 @@ def print_cells(
     rows: list[tuple[Value, ...]] = []
     for label, planned, results in cells:
         finished = [result for result in results if result.status == "FINISHED"]
-        rewards = [result.final_reward for result in finished if result.final_reward is not None]
-        areas = [result.auc for result in finished if result.auc is not None]
-        done = f"{len({result.seed for result in finished})} of {planned}"
-        co2 = [result.use.get("kg_co2") for result in results]
-        kg_co2 = None if None in co2 else _sum(results, "kg_co2")
-        used = (_sum(results, "cpu_seconds"), _sum(results, "kwh"), kg_co2)
+        rewards, areas = _known(finished, "final_reward"), _known(finished, "auc")
+        done = f"{len({result.record.seed for result in finished})} of {planned}"
+        kg_co2 = _known(results, "kg_co2")
+        used = (
+            _sum(_known(results, "cpu_seconds")),
+            _sum(_known(results, "kwh")),
+            _sum(kg_co2) if len(kg_co2) == len(results) else None,
+        )
         rows.append((label, done, *_mean_std(rewards), _mean_std(areas)[0], *used))
     estimated = any(_estimated(results) for _, _, results in cells)
     columns = _headings(_CELL_COLUMNS, estimated, episodes)
@@ -224,10 +177,10 @@ def _print_notes(results: Sequence[SeedResult]) -> None:
     """Print the definition of the final reward, and the reason why runs have no AUC."""
     from headway.stats.curves import FEWEST_POINTS, FINAL_SHARE
 
-    if any(result.final_reward is not None for result in results):
+    rewarded = [result for result in results if result.summary.get("final_reward") is not None]
+    if rewarded:
         print_line(f"{_FINAL}: mean evaluation return over the last {FINAL_SHARE:.0%} of a run's steps")
-    without = sum(result.final_reward is not None and result.auc is None for result in results)
-    if without:
+    if without := len(rewarded) - len(_known(rewarded, "auc")):
         print_line(
             f"no AUC for {counted(without, 'run')}: fewer than {FEWEST_POINTS} evaluations "
             "(evaluation.every sets the interval)"
@@ -242,10 +195,10 @@ def _print_unchanged(results: Sequence[SeedResult], modes: Sequence[str]) -> Non
     for result in results:
         if result.status == "FINISHED":
             with suppress(HeadwayError):  # a damaged log hides no result
-                curves = [read_curve(Path(result.directory), f"evaluation_{mode}/return") for mode in modes]
+                curves = [read_curve(result.directory, f"evaluation_{mode}/return") for mode in modes]
                 first, *others = (list(curve.values()) for curve in curves)
                 if 0 in curves[0] and len(first) > 1 and len(set(first)) == 1:
-                    unchanged.append((result.seed, first[0], others))
+                    unchanged.append((result.record.seed, first[0], others))
     for seed, value, others in unchanged[:_MAX_UNCHANGED]:
         changes = [
             f"; {mode} return from {values[0]:.4g} to {values[-1]:.4g}"
@@ -285,13 +238,16 @@ def _mean_std(values: Sequence[float]) -> tuple[float | None, float | None]:
     return result.mean, result.std if result.count > 1 else None
 
 
-def _sum(results: Sequence[SeedResult], name: str) -> float | None:
-    known = [value for result in results if (value := result.use.get(name)) is not None]
-    return sum(known) if known else None
+def _known(results: Sequence[SeedResult], name: str) -> list[float]:
+    return [value for result in results if (value := result.summary.get(name)) is not None]
+
+
+def _sum(values: Sequence[float]) -> float | None:
+    return sum(values) if values else None
 
 
 def _estimated(results: Sequence[SeedResult]) -> bool:
-    return any(result.energy_modes.get("energy.cpu", "").startswith("est") for result in results)
+    return any(result.summary.get("energy.cpu", "").startswith("est") for result in results)
 
 
 def _final_episodes(mode: str, results: Sequence[SeedResult]) -> list[list[Row]]:
@@ -305,7 +261,7 @@ def _final_episodes(mode: str, results: Sequence[SeedResult]) -> list[list[Row]]
     for result in results:
         if result.status != "FINISHED":
             continue
-        rows = read_rows(Path(result.directory), "evaluation")
+        rows = read_rows(result.directory, "evaluation")
         last = [row for row in rows if row["mode"] == mode and row.get("final")]
         if not last:
             raise HeadwayError(

@@ -18,7 +18,7 @@ from headway_launch.experiments.parameters import session_settings
 from headway_launch.runner.cell import Rules, SessionCell
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
 from headway_launch.runner.jobs import CellPlan, require_free_disk
-from headway_launch.runner.results import print_cells, print_results, seed_result, stored_result
+from headway_launch.runner.results import SeedResult, print_cells, print_results, run_summary
 from headway_launch.runner.scheduler import Scheduler
 from headway_launch.runner.session_energy import SessionEnergy
 from headway_launch.runner.session_job import SessionJob
@@ -89,9 +89,9 @@ class Runner:
         """Return the final rewards of the finished seeds, one list per cell."""
         return [
             [
-                result.final_reward
+                reward
                 for result in cell.results.values()
-                if result.status == "FINISHED" and result.final_reward is not None
+                if result.status == "FINISHED" and (reward := result.summary.get("final_reward")) is not None
             ]
             for cell in self._cells
         ]
@@ -116,7 +116,7 @@ class Runner:
     def left_to_others(self) -> list[Path]:
         """Return the folders of runs that other sessions train, or trained without finishing them."""
         results = {result.directory for cell in self._cells for result in cell.results.values()}
-        return [folder for _, folder in self._of_others() if str(folder) not in results]
+        return [folder for _, folder in self._of_others() if folder not in results]
 
     def _of_others(self) -> list[tuple[SessionCell, Path]]:
         planned = [(cell, folder) for cell in self._cells for folder in cell.plan.elsewhere]
@@ -125,9 +125,9 @@ class Runner:
     def _add_results_of_others(self) -> None:
         for cell, folder in self._of_others():
             with suppress(HeadwayError):  # damaged
-                result = stored_result(folder)
+                result = SeedResult.read(folder)
                 if result.status == "FINISHED":
-                    cell.results[result.run_id] = result
+                    cell.results[folder.name] = result
 
     def _start(self, job: SessionJob) -> Training:
         """Create or reopen the runs of a job and start its training process."""
@@ -144,10 +144,9 @@ class Runner:
             return
         energy, mode = self._energy.finish(job), cell.config.evaluation.modes[0]
         for run, used in zip(recorder.runs, energy, strict=True):
-            speed, modes = recorder.steps_per_second, self._energy.modes
-            result = seed_result(run, job.stored_status, speed, mode, used, modes)
-            run.finish(job.stored_status, result.summary)
-            cell.results[run.run_id] = result
+            summary = run_summary(run, recorder.steps_per_second, mode, used, self._energy.modes)
+            run.finish(job.stored_status, summary)
+            cell.results[run.run_id] = SeedResult.read(run.directory)
         if self._debug and recorder.failure:
             print_line(recorder.failure.traceback)
 
@@ -200,7 +199,7 @@ class Runner:
     def _print_summary(self, seconds: float) -> None:
         root, study = self._config.store.root, self._config.study
         results = [result for cell in self._cells for result in cell.results.values()]
-        folders = sorted({Path(result.directory).parent for result in results})
+        folders = sorted({result.directory.parent for result in results})
         where = ", ".join(relative(folder) for folder in folders)
         option = "" if root == type(self._config.store)().root else f" --store {shlex.quote(root)}"
         if where:
@@ -214,7 +213,7 @@ class Runner:
         if left := self.left_to_others():
             print_line(f"headway: {counted(len(left), 'run')} left to other sessions, not in this table")
         self._print_store_share()
-        unfinished = [result.run_id for result in results if result.status in ("KILLED", "FAILED")]
+        unfinished = [result.record.run_id for result in results if result.status in ("KILLED", "FAILED")]
         not_started = sum(
             len(job.planned.seeds) - len(job.elsewhere)
             for job in self._jobs

@@ -17,7 +17,7 @@ from headway.store.parquet_log import RunLog
 from headway.store.run_folder import CHECKPOINTS, RunRecord
 from headway.store.session import Cell, Run, SessionStore
 from headway_launch.runner.recorder import JobRecorder
-from headway_launch.runner.results import SeedResult, print_cells, seed_result
+from headway_launch.runner.results import SeedResult, print_cells, run_summary
 
 STEPS = 100
 
@@ -43,7 +43,8 @@ def train(recording: JobRecorder, iterations: int) -> None:
 
 
 def result_of(run: Run) -> SeedResult:
-    return seed_result(run, "KILLED", None, "greedy", {}, {})
+    run.finish("KILLED", run_summary(run, None, "greedy", {}, {}))
+    return SeedResult.read(run.directory)
 
 
 @pytest.mark.parametrize("last", [Finished(8, stopped=True), Failed("it broke", "")])
@@ -53,10 +54,9 @@ def test_an_unreported_checkpoint_counts_and_nothing_after_it(runs: Sequence[Run
     save_checkpoint(runs[1].directory / CHECKPOINTS, 5, {})  # killed before the event
     recording.take(last)
     for run in runs:
-        result = result_of(run)
-        run.finish("KILLED", result.summary)
-        assert result.env_steps == 5 * STEPS
-        assert result.final_reward == 5.0  # last 20% of five iterations; of eight it would be 7.5
+        summary = result_of(run).summary
+        assert summary["env_steps"] == 5 * STEPS
+        assert summary["final_reward"] == 5.0  # last 20% of five iterations; of eight it would be 7.5
     for row in RunIndex(runs[0].directory.parents[1]).rows():
         assert (row.iterations, row.env_steps, row.final_reward) == (5, 5 * STEPS, 5.0)
 
@@ -87,8 +87,8 @@ def test_a_curve_of_two_points_has_no_area(
     save_checkpoint(runs[0].directory / CHECKPOINTS, evaluations, {})
     recording.take(Finished(evaluations, stopped=False))
     result = result_of(runs[0])
-    assert result.auc == (None if area is None else pytest.approx(area))
-    assert result.final_reward is not None
+    assert result.summary["auc"] == (None if area is None else pytest.approx(area))
+    assert result.summary["final_reward"] is not None
     print_cells("study", [("ippo", 1, [result])], {2})
     definition = "final reward: mean evaluation return over the last 20% of a run's steps\n"
     line = "no AUC for 1 run: fewer than 3 evaluations (evaluation.every sets the interval)\n"
@@ -104,8 +104,8 @@ def test_without_a_checkpoint_there_is_no_result(runs: Sequence[Run], iterations
     recording = JobRecorder(runs)
     train(recording, iterations)
     recording.take(Finished(iterations, stopped=True))
-    result = result_of(runs[0])
-    assert (result.env_steps, result.final_reward, result.auc) == (0, None, None)
+    summary = result_of(runs[0]).summary
+    assert [summary[name] for name in ("env_steps", "final_reward", "auc")] == [0, None, None]
 
 
 def test_runs_are_tagged_with_the_iterations_at_which_episodes_restarted(runs: Sequence[Run]) -> None:

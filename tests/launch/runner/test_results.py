@@ -6,7 +6,14 @@ import pytest
 
 from headway.contracts import HeadwayError
 from headway.store.parquet_log import RunLog
+from headway.store.run_folder import Process, RunRecord, now
 from headway_launch.runner.results import SeedResult, _final_episodes, _print_unchanged
+
+
+def _result(directory: Path) -> SeedResult:
+    started, session = now(), Process.current()
+    record = RunRecord("run-3", "study", "bus", "ippo", 3, 2, started, session, status="FINISHED")
+    return SeedResult(directory, record, {"final_reward": 89.9})
 
 
 @pytest.mark.parametrize(
@@ -31,7 +38,7 @@ def test_a_policy_whose_greedy_actions_have_not_changed_is_named(
         returns = dict(zip(("evaluation_greedy/return", "evaluation_sampled/return"), values, strict=True))
         log.append("curve", [{"iteration": iteration, "env_steps": 10 * iteration, "wall_s": 1.0, **returns}])
     log.commit(len(greedy))
-    result = SeedResult(3, "FINISHED", "run-3", str(tmp_path), 89.9, None, 20, None, {}, {})
+    result = _result(tmp_path)
     _print_unchanged([result], ("greedy", "sampled"))
     assert capsys.readouterr().err == line
 
@@ -43,7 +50,7 @@ def test_a_finished_seed_without_last_episodes_is_named(tmp_path: Path) -> None:
         "evaluation", [{"iteration": 1, "env_steps": 8, "mode": "1e308", "final": 1, "episode_seed": 0}]
     )
     log.commit(1)
-    result = SeedResult(3, "FINISHED", "run-3", str(tmp_path), 89.9, None, 20, None, {}, {})
+    result = _result(tmp_path)
     with pytest.raises(
         HeadwayError, match=f"^{tmp_path}: there are no greedy episodes of the last evaluation"
     ):
