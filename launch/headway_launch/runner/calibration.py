@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 from headway.config.experiment import ExperimentConfig
@@ -37,56 +38,84 @@ _POLL_S = 0.2
 
 
 @dataclass(frozen=True)
+class Expectation:
+    """Expected cost of one job; None for energy and emissions that are not measured."""
+
+    seconds: float
+    cpu_s: float
+    kwh: float | None
+    kg_co2: float | None
+
+
+@dataclass
 class Pace:
-    """Measured durations of the parts of one job.
+    """The measurement of one cell, recorded in the session's process.
 
     CPU seconds are those of its training process and workers.
     """
 
-    start_s: float
+    name: str
+    """Unique among all cells that are measured."""
+    launched: float
+    uses_gpu: bool = False
+    start_s: float = 0.0
     """Seconds from launch to the beginning of training."""
-    evaluation_s: float
+    evaluation_s: float = 0.0
     """Seconds of one evaluation with the usual number of episodes; the last one may have more."""
-    iteration_s: float
-    cpu_start_s: float
-    """CPU seconds before the first iteration, the first evaluation included."""
-    cpu_iteration_s: float
-    iterations: int
-    """Number of iterations measured."""
+    cpu_start_s: float = 0.0
+    """CPU seconds until the end of the first evaluation, for a process that begins with this cell."""
+    marks: list[tuple[float, float]] = field(default_factory=list)
+    """(seconds, CPU seconds) per iteration, without the evaluation that may precede it."""
+    used: Usage = field(default_factory=Usage)
+    process_ids: tuple[int, ...] = ()
     kwh: float | None = None
     """kWh per CPU second; None if energy is not measured."""
     kg_co2: float | None = None
     """kg CO2eq per CPU second; None if energy is not measured."""
 
-    def estimate(self, config: ExperimentConfig, done: int) -> "Expectation":
+    def take(self, event: Event) -> None:
+        now = time.monotonic()
+        match event:
+            case Started(process_ids=process_ids):
+                self.start_s, self.process_ids = now - self.launched, process_ids
+            case EvaluationFinished(usage=usage):
+                if not self.marks:
+                    self.evaluation_s = now - self.launched - self.start_s
+                    self.cpu_start_s = usage.cpu_seconds
+                self.used = usage
+            case IterationFinished(usage=usage, collect_s=collect_s, learn_s=learn_s):
+                self.marks.append((collect_s + learn_s, usage.cpu_seconds - self.used.cpu_seconds))
+                self.used = usage
+
+    @property
+    def usage(self) -> JobUsage:
+        """Resources used so far."""
+        return JobUsage(self.used.cpu_seconds, self.used.memory_bytes, self.uses_gpu, self.process_ids)
+
+    @property
+    def counted(self) -> list[tuple[float, float]]:
+        """`marks` without that of the first iteration, if there are others."""
+        return self.marks[1:] or self.marks
+
+    @property
+    def iteration_s(self) -> float:
+        """Mean seconds of an iteration."""
+        return max(fmean(seconds for seconds, _ in self.counted), 1e-9)
+
+    @property
+    def cpu_iteration_s(self) -> float:
+        """Mean CPU seconds of an iteration."""
+        return fmean(cpu for _, cpu in self.counted)
+
+    def estimate(self, config: ExperimentConfig, done: int) -> Expectation:
         """Return the expected cost of a job that resumes after iteration `done`; 0 for a new job."""
-        evaluations = evaluations_left(config, done)
-        evaluating = evaluations * self.evaluation_s
+        evaluating = evaluations_left(config, done) * self.evaluation_s
         left = config.iterations - done
         rate = self.cpu_iteration_s / self.iteration_s
         cpu = self.cpu_start_s + left * self.cpu_iteration_s + evaluating * rate
         start = self.start_s + (0.0 if done else self.evaluation_s)
-        return Expectation(start + evaluating + left * self.iteration_s, cpu, self.kwh, self.kg_co2)
-
-
-@dataclass(frozen=True)
-class Expectation:
-    """Expected cost of one job: wall-clock seconds, CPU seconds, energy and CO2."""
-
-    seconds: float
-    cpu_s: float
-    kwh_per_cpu_s: float | None
-    kg_per_cpu_s: float | None
-
-    @property
-    def kwh(self) -> float | None:
-        """Energy in kWh; None if it is not measured."""
-        return None if self.kwh_per_cpu_s is None else self.cpu_s * self.kwh_per_cpu_s
-
-    @property
-    def kg_co2(self) -> float | None:
-        """Emissions in kg CO2eq; None if energy is not measured."""
-        return None if self.kg_per_cpu_s is None else self.cpu_s * self.kg_per_cpu_s
+        energy = (None if each is None else cpu * each for each in (self.kwh, self.kg_co2))
+        return Expectation(start + evaluating + left * self.iteration_s, cpu, *energy)
 
 
 def evaluations_left(config: ExperimentConfig, done: int) -> float:
@@ -127,14 +156,14 @@ def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, 
             )
             while running := [lane for lane in lanes if lane.waiting]:
                 for lane in _lanes_at_end(running):
-                    cell, trial = lane.next()
-                    others = {other.trial.name: other.trial.usage for other in running if other is not lane}
-                    energy = meter.finish(trial.name, others, trial.usage)
+                    cell, pace = lane.next()
+                    others = {other.pace.name: other.pace.usage for other in running if other is not lane}
+                    energy = meter.finish(pace.name, others, pace.usage)
                     if id(cell) not in paces:
                         spent = max(energy.cpu_seconds, 1e-9)
-                        kwh = None if energy.kwh is None else energy.kwh / spent
-                        kg = None if energy.kg_co2 is None else energy.kg_co2 / spent
-                        paces[id(cell)] = trial.pace(kwh, kg)
+                        pace.kwh = None if energy.kwh is None else energy.kwh / spent
+                        pace.kg_co2 = None if energy.kg_co2 is None else energy.kg_co2 / spent
+                        paces[id(cell)] = pace
                         progress.add()
         finally:
             for lane in lanes:
@@ -187,58 +216,8 @@ def _train_briefly(jobs: Sequence["TrainingJob"], report: Report, should_stop: S
         before = time.process_time()
 
 
-@dataclass
-class Trial:
-    """The measurement of one cell, recorded in the session's process."""
-
-    name: str
-    """Unique among all trials."""
-    launched: float
-    uses_gpu: bool = False
-    start_s: float = 0.0
-    evaluation_s: float = 0.0
-    cpu_start_s: float = 0.0
-    """CPU seconds until the end of the first evaluation, for a process that begins with this cell."""
-    marks: list[tuple[float, float]] = field(default_factory=list)
-    """(seconds, CPU seconds) per iteration, without the evaluation that may precede it."""
-    used: Usage = field(default_factory=Usage)
-    process_ids: tuple[int, ...] = ()
-
-    def take(self, event: Event) -> None:
-        now = time.monotonic()
-        match event:
-            case Started(process_ids=process_ids):
-                self.start_s, self.process_ids = now - self.launched, process_ids
-            case EvaluationFinished(usage=usage):
-                if not self.marks:
-                    self.evaluation_s = now - self.launched - self.start_s
-                    self.cpu_start_s = usage.cpu_seconds
-                self.used = usage
-            case IterationFinished(usage=usage, collect_s=collect_s, learn_s=learn_s):
-                self.marks.append((collect_s + learn_s, usage.cpu_seconds - self.used.cpu_seconds))
-                self.used = usage
-
-    @property
-    def usage(self) -> JobUsage:
-        """Resources used so far."""
-        return JobUsage(self.used.cpu_seconds, self.used.memory_bytes, self.uses_gpu, self.process_ids)
-
-    def pace(self, kwh: float | None, kg_co2: float | None) -> Pace:
-        counted = self.marks[1:] or self.marks
-        return Pace(
-            start_s=self.start_s,
-            evaluation_s=self.evaluation_s,
-            iteration_s=max(sum(seconds for seconds, _ in counted) / len(counted), 1e-9),
-            cpu_start_s=self.cpu_start_s,
-            cpu_iteration_s=sum(cpu for _, cpu in counted) / len(counted),
-            iterations=len(counted),
-            kwh=kwh,
-            kg_co2=kg_co2,
-        )
-
-
 class _Lane:
-    """One process and the cells that it measures in turn; `trial` belongs to the first cell in `waiting`.
+    """One process and the cells that it measures in turn; `pace` belongs to the first cell in `waiting`.
 
     `progress` shows each cell as it begins.
     """
@@ -248,7 +227,7 @@ class _Lane:
     ) -> None:
         self.waiting, self._progress = list(cells), progress
         jobs = [_training_job(cell.jobs[0], shares, folder / str(turn)) for turn, cell in enumerate(cells)]
-        self.trial = self._new_trial()
+        self.pace = self._new_pace()
         self._start: tuple[float, float] | None = None
         """Start-up of the first cell, s and CPU s: a lower bound for the other cells, each of which starts a
         process in the real session."""
@@ -268,26 +247,25 @@ class _Lane:
                     raise HeadwayError(f"the calibration of {self._name} failed: {line}")
                 case None:
                     raise HeadwayError(f"the calibration of {self._name} failed: {self.process.join()}")
-            self.trial.take(event)
-            self._progress.add(0, f"{self._name}: iterations {len(self.trial.marks)}")
-        if time.monotonic() - self.trial.launched > _PATIENCE_S:
+            self.pace.take(event)
+        if time.monotonic() - self.pace.launched > _PATIENCE_S:
             raise HeadwayError(
                 f"the calibration of {self._name} takes longer than {_PATIENCE_S:g} s and is stopped; "
                 "train without a dry run"
             )
         return False
 
-    def next(self) -> tuple[CellPlan, Trial]:
-        """Return the cell just measured with its trial, and move on to the next cell."""
-        trial = self.trial
+    def next(self) -> tuple[CellPlan, Pace]:
+        """Return the cell just measured with its pace, and move on to the next cell."""
+        pace = self.pace
         if self._start is None:
-            self._start = trial.start_s, trial.cpu_start_s
-        trial.start_s = max(trial.start_s, self._start[0])
-        trial.cpu_start_s = max(trial.cpu_start_s, self._start[1])
+            self._start = pace.start_s, pace.cpu_start_s
+        pace.start_s = max(pace.start_s, self._start[0])
+        pace.cpu_start_s = max(pace.cpu_start_s, self._start[1])
         cell = self.waiting.pop(0)
         if self.waiting:
-            self.trial = self._new_trial()
-        return cell, trial
+            self.pace = self._new_pace()
+        return cell, pace
 
     def end(self) -> None:
         """Kill the process if it is still running."""
@@ -299,15 +277,9 @@ class _Lane:
         cell = self.waiting[0]
         return cell.label or cell.experiment.algo_name
 
-    def _new_trial(self) -> Trial:
-        config = self.waiting[0].jobs[0].config
-        steps = f"{config.rollout.copies} x {config.rollout.steps} steps"
-        least, most = (min(1 + count, config.iterations) for count in (_FEWEST, _ITERATIONS))
-        self._progress.note(
-            f"measuring {self._name}, of which no finished run tells the pace: start, an evaluation of "
-            f"{counted(config.evaluation.episodes, 'episode')}, {least} to {most} iterations of {steps}"
-        )
-        return Trial(f"{id(self)} {len(self.waiting)}", time.monotonic(), uses_gpu(self.waiting[0].jobs[0]))
+    def _new_pace(self) -> Pace:
+        self._progress.note(f"measuring {self._name}")
+        return Pace(f"{id(self)} {len(self.waiting)}", time.monotonic(), uses_gpu(self.waiting[0].jobs[0]))
 
 
 def _lanes_at_end(lanes: Sequence[_Lane]) -> list[_Lane]:

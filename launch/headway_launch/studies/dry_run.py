@@ -1,8 +1,6 @@
 """A dry run: the runs of a session, and their time and energy as finished runs or a calibration predict."""
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import replace
+from collections.abc import Sequence
 from heapq import heapify, heapreplace
 from pathlib import Path
 from statistics import fmean
@@ -129,13 +127,15 @@ def _as_finished_runs(finished: Sequence[StoredRun], cell: CellPlan) -> list[Exp
         ]
         return sum(values) / len(values) if values else None
 
-    seconds = fmean(run.record.duration_s * stretch for run, stretch in zip(runs, stretches, strict=True))
-    cpu_s, kwh, kg = mean("cpu_seconds") or 0.0, mean("kwh"), mean("kg_co2")
-    rates = (None if each is None else each / max(cpu_s, 1e-9) for each in (kwh, kg))
-    of_seed = Expectation(seconds, cpu_s, *rates)
-    iterations = cell.experiment.config.iterations
-    left = [(len(job.seeds), 1 - job.iteration / iterations) for job in cell.jobs]
-    return [replace(of_seed, seconds=seconds * share, cpu_s=seeds * cpu_s * share) for seeds, share in left]
+    seconds = sum(run.record.duration_s for run in runs) / len(runs)
+    cpu_s, energy = mean("cpu_seconds") or 0.0, (mean("kwh"), mean("kg_co2"))
+    expected = []
+    for job in cell.jobs:
+        share = 1 - job.iteration / cell.experiment.config.iterations
+        seeds = len(job.seeds) * share
+        used = (None if each is None else seeds * each for each in energy)
+        expected.append(Expectation(seconds * share, seeds * cpu_s, *used))
+    return expected
 
 
 def makespan(seconds: Sequence[float], parallel: int) -> float:
@@ -204,7 +204,7 @@ def _print_totals(
         print(f"Estimated as {kind} on this machine: {counted(number, 'cell')}.")
     if not paces:
         return
-    fewest = min(pace.iterations for pace in paces)
+    fewest = min(len(pace.counted) for pace in paces)
     cells = "the cell" if len(paces) == 1 else f"each of {len(paces)} cells"
     print(
         f"The estimate is from at least {fewest} iterations and one evaluation of {cells}, measured with "

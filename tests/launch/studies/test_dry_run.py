@@ -16,14 +16,14 @@ from headway.training.loop import TrainingJob
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.sweep import compose_sweep
-from headway_launch.runner.calibration import Pace, Trial, calibrate
+from headway_launch.runner.calibration import Pace, calibrate
 from headway_launch.runner.cores import CoreShares
 from headway_launch.runner.jobs import CellPlan
 from headway_launch.runner.training_process import TrainingProcess, Work
 from headway_launch.studies.dry_run import makespan, spans
 
 PACE = Pace(
-    start_s=3.0, evaluation_s=2.0, iteration_s=0.5, cpu_start_s=4.0, cpu_iteration_s=1.0, iterations=6,
+    "a cell", 0.0, start_s=3.0, evaluation_s=2.0, cpu_start_s=4.0, marks=[(0.5, 1.0)] * 7,
     kwh=1e-6, kg_co2=1e-7,
 )  # fmt: skip
 
@@ -195,14 +195,13 @@ def test_consecutive_seeds_are_a_range() -> None:
 
 
 def test_iterations_are_measured_without_the_evaluations_between_them() -> None:
-    trial = Trial("a cell", launched=time.monotonic())
+    pace = Pace("a cell", launched=time.monotonic())
     spent = 5.0
-    trial.take(Started(0, (), False))
-    trial.take(EvaluationFinished(0, 0, "greedy", False, Usage(spent, 0), 0.0))
+    pace.take(Started(0, (), False))
+    pace.take(EvaluationFinished(0, 0, "greedy", False, Usage(spent, 0), 0.0))
     for iteration in (1, 2, 3):
         spent += 1.0
-        trial.take(IterationFinished(iteration, 100 * iteration, Usage(spent, 0), spent, 0.75, 0.25))
+        pace.take(IterationFinished(iteration, 100 * iteration, Usage(spent, 0), spent, 0.75, 0.25))
         spent += 2.0
-        trial.take(EvaluationFinished(iteration, 100 * iteration, "greedy", False, Usage(spent, 0), 0.0))
-    pace = trial.pace(None, None)
-    assert (pace.iteration_s, pace.cpu_iteration_s, pace.cpu_start_s, pace.iterations) == (1.0, 1.0, 5.0, 2)
+        pace.take(EvaluationFinished(iteration, 100 * iteration, "greedy", False, Usage(spent, 0), 0.0))
+    assert (pace.iteration_s, pace.cpu_iteration_s, pace.cpu_start_s, len(pace.counted)) == (1.0, 1.0, 5.0, 2)
