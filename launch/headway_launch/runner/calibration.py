@@ -1,14 +1,12 @@
 """A short calibration: train each cell for a few iterations and keep only the measured durations and energy.
 
-As many processes run at once as in the real session. Each measures several cells in turn, because starting a
-process (torch, the kernels, a server of workers) takes longer than the measurement of one cell.
+As many processes run at once as in the real session.
 """
 
 import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
 from statistics import fmean
@@ -23,7 +21,7 @@ from headway.wording import counted
 from headway_launch.console.progress_display import CountedProgress
 from headway_launch.runner.cores import CoreShares, uses_gpu, workers_of
 from headway_launch.runner.jobs import CellPlan, PlannedJob
-from headway_launch.runner.training_process import Report, ShouldStop, TrainingProcess, train_and_report
+from headway_launch.runner.training_process import TrainingProcess
 from headway_launch.runner.warm_up import compile_kernels_of
 
 if TYPE_CHECKING:
@@ -32,7 +30,7 @@ if TYPE_CHECKING:
 _ITERATIONS = 6
 """Iterations measured per cell, after a first one that is not counted because it includes one-off work."""
 _FEWEST, _SECONDS = 2, 3.0
-"""Measurement also ends after `_SECONDS` of training if at least `_FEWEST` iterations were measured."""
+"""Measurement also ends after `_SECONDS` of iterations if at least `_FEWEST` were measured."""
 _PATIENCE_S = 600.0
 _POLL_S = 0.2
 
@@ -63,7 +61,7 @@ class Pace:
     evaluation_s: float = 0.0
     """Seconds of one evaluation with the usual number of episodes; the last one may have more."""
     cpu_start_s: float = 0.0
-    """CPU seconds until the end of the first evaluation, for a process that begins with this cell."""
+    """CPU seconds until the end of the first evaluation."""
     marks: list[tuple[float, float]] = field(default_factory=list)
     """(seconds, CPU seconds) per iteration, without the evaluation that may precede it."""
     used: Usage = field(default_factory=Usage)
@@ -96,6 +94,13 @@ class Pace:
     def counted(self) -> list[tuple[float, float]]:
         """`marks` without that of the first iteration, if there are others."""
         return self.marks[1:] or self.marks
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether enough iterations have been measured."""
+        measured = self.marks[1:]
+        late = sum(seconds for seconds, _ in measured) > _SECONDS
+        return len(measured) >= (_FEWEST if late else _ITERATIONS)
 
     @property
     def iteration_s(self) -> float:
@@ -140,24 +145,27 @@ def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, 
     """
     compile_kernels_of([cell.experiment for cell in cells])
     rounds = -(-len(cells) // shares.parallel)
-    turns = [cells[place % len(cells)] for place in range(rounds * shares.parallel)]
+    waiting = [cells[place % len(cells)] for place in range(rounds * shares.parallel)]
     paces: dict[int, Pace] = {}
+    running: list[_Measurement] = []
     meter = EnergyMeter.start(cells[0].experiment.config.energy)
     meter.wait()
-    lanes: list[_Lane] = []
     with (
         tempfile.TemporaryDirectory(prefix="headway-") as folder,
         CountedProgress("cells measured", len(cells)) as progress,
     ):
         try:
-            lanes.extend(
-                _Lane(turns[first :: shares.parallel], shares, Path(folder, str(first)), progress)
-                for first in range(shares.parallel)
-            )
-            while running := [lane for lane in lanes if lane.waiting]:
-                for lane in _lanes_at_end(running):
-                    cell, pace = lane.next()
-                    others = {other.pace.name: other.pace.usage for other in running if other is not lane}
+            while waiting or running:
+                while waiting and len(running) < shares.parallel:
+                    place = Path(folder, str(len(waiting)))
+                    running.append(_Measurement(waiting.pop(0), shares, place))
+                    progress.note(f"measuring {running[-1].name}")
+                wait([each.process.connection for each in running], _POLL_S)
+                for ended in [each for each in running if each.receive_events()]:
+                    running.remove(ended)
+                    ended.process.join()
+                    pace, cell = ended.pace, ended.cell
+                    others = {other.pace.name: other.pace.usage for other in running}
                     energy = meter.finish(pace.name, others, pace.usage)
                     if id(cell) not in paces:
                         spent = max(energy.cpu_seconds, 1e-9)
@@ -166,8 +174,9 @@ def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, 
                         paces[id(cell)] = pace
                         progress.add()
         finally:
-            for lane in lanes:
-                lane.end()
+            for each in running:
+                each.process.kill()
+                each.process.join()
             meter.stop()
     modes = ", ".join(
         f"{part.removeprefix('energy.')} {mode}" for part, mode in meter.modes.as_tags().items()
@@ -175,66 +184,16 @@ def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, 
     return paces, modes
 
 
-@dataclass
-class _ShortTraining:
-    """A shortened training of one cell in the training process; stops once enough has been measured."""
+class _Measurement:
+    """A training process that ends once enough of its cell has been measured."""
 
-    report: Report
-    asked_to_stop: ShouldStop
-    iterations: int
-    """Iterations of the full training."""
-    cpu_before_s: float
-    """CPU seconds that the process had used before this cell."""
-    _counted: int = -1
-    """Finished iterations after the first, which is not measured; -1 before it ends."""
-    _evaluated: float = 0.0
-
-    def take(self, event: Event) -> None:
-        """Report an event with the CPU seconds of this cell only."""
-        if isinstance(event, IterationFinished | EvaluationFinished):
-            spent = event.usage.cpu_seconds - self.cpu_before_s
-            event = replace(event, usage=replace(event.usage, cpu_seconds=spent))
-            if isinstance(event, IterationFinished):
-                self._counted += 1
-            elif self._counted < 0:
-                self._evaluated = time.monotonic()
-        self.report(event)
-
-    def should_stop(self) -> bool:
-        """Return whether enough has been measured or the session is ending."""
-        late = time.monotonic() - self._evaluated > _SECONDS
-        complete = self._counted >= min(_ITERATIONS, self.iterations - 1)
-        return complete or (self._counted >= _FEWEST and late) or self.asked_to_stop()
-
-
-def _train_briefly(jobs: Sequence["TrainingJob"], report: Report, should_stop: ShouldStop) -> None:
-    """Train the jobs one after another in this process, each until its final event."""
-    before = 0.0
-    for job in jobs:
-        short = _ShortTraining(report, should_stop, job.config.iterations, before)
-        train_and_report(job, short.take, short.should_stop)
-        before = time.process_time()
-
-
-class _Lane:
-    """One process and the cells that it measures in turn; `pace` belongs to the first cell in `waiting`.
-
-    `progress` shows each cell as it begins.
-    """
-
-    def __init__(
-        self, cells: Sequence[CellPlan], shares: CoreShares, folder: Path, progress: CountedProgress
-    ) -> None:
-        self.waiting, self._progress = list(cells), progress
-        jobs = [_training_job(cell.jobs[0], shares, folder / str(turn)) for turn, cell in enumerate(cells)]
-        self.pace = self._new_pace()
-        self._start: tuple[float, float] | None = None
-        """Start-up of the first cell, s and CPU s: a lower bound for the other cells, each of which starts a
-        process in the real session."""
-        self.process = TrainingProcess(jobs[0], partial(_train_briefly, jobs))
+    def __init__(self, cell: CellPlan, shares: CoreShares, folder: Path) -> None:
+        self.cell, self.name = cell, cell.label or cell.experiment.algo_name
+        self.pace = Pace(str(folder), time.monotonic(), uses_gpu(cell.jobs[0]))
+        self.process = TrainingProcess(_training_job(cell.jobs[0], shares, folder))
 
     def receive_events(self) -> bool:
-        """Process the events that have arrived, up to the end of a cell; return whether the cell ended.
+        """Process the events that have arrived; return whether the measurement has ended.
 
         Raises HeadwayError if training fails or takes too long.
         """
@@ -244,48 +203,18 @@ class _Lane:
                 case Finished():
                     return True
                 case Failed(line=line):
-                    raise HeadwayError(f"the calibration of {self._name} failed: {line}")
+                    raise HeadwayError(f"the calibration of {self.name} failed: {line}")
                 case None:
-                    raise HeadwayError(f"the calibration of {self._name} failed: {self.process.join()}")
+                    raise HeadwayError(f"the calibration of {self.name} failed: {self.process.join()}")
             self.pace.take(event)
+            if self.pace.is_enough:
+                self.process.ask_to_stop()
         if time.monotonic() - self.pace.launched > _PATIENCE_S:
             raise HeadwayError(
-                f"the calibration of {self._name} takes longer than {_PATIENCE_S:g} s and is stopped; "
+                f"the calibration of {self.name} takes longer than {_PATIENCE_S:g} s and is stopped; "
                 "train without a dry run"
             )
         return False
-
-    def next(self) -> tuple[CellPlan, Pace]:
-        """Return the cell just measured with its pace, and move on to the next cell."""
-        pace = self.pace
-        if self._start is None:
-            self._start = pace.start_s, pace.cpu_start_s
-        pace.start_s = max(pace.start_s, self._start[0])
-        pace.cpu_start_s = max(pace.cpu_start_s, self._start[1])
-        cell = self.waiting.pop(0)
-        if self.waiting:
-            self.pace = self._new_pace()
-        return cell, pace
-
-    def end(self) -> None:
-        """Kill the process if it is still running."""
-        self.process.kill()
-        self.process.join()
-
-    @property
-    def _name(self) -> str:
-        cell = self.waiting[0]
-        return cell.label or cell.experiment.algo_name
-
-    def _new_pace(self) -> Pace:
-        self._progress.note(f"measuring {self._name}")
-        return Pace(f"{id(self)} {len(self.waiting)}", time.monotonic(), uses_gpu(self.waiting[0].jobs[0]))
-
-
-def _lanes_at_end(lanes: Sequence[_Lane]) -> list[_Lane]:
-    """Return the lanes that have reached the end of a cell, after waiting up to `_POLL_S` for events."""
-    wait([lane.process.connection for lane in lanes], _POLL_S)
-    return [lane for lane in lanes if lane.receive_events()]
 
 
 def _training_job(job: PlannedJob, shares: CoreShares, folder: Path) -> "TrainingJob":

@@ -24,8 +24,6 @@ _LAST_EVENT_S = 1.0
 
 Report = Callable[[Event], None]
 ShouldStop = Callable[[], bool]
-Work = Callable[[Report, ShouldStop], None]
-"""Work of a training process: it reports events and ends when `ShouldStop` returns true."""
 
 
 class Training(ABC):
@@ -81,8 +79,8 @@ class Training(ABC):
 class TrainingProcess(Training):
     """Runs one job in a separate process and process group, so that Ctrl-C reaches the session only."""
 
-    def __init__(self, job: "TrainingJob", work: Work | None = None) -> None:
-        """Start the process; `work` (picklable) replaces training, and `job` then only names the process."""
+    def __init__(self, job: "TrainingJob") -> None:
+        """Start the process."""
         context = get_context("spawn")
         events, child_end = context.Pipe()
         super().__init__(events)
@@ -100,7 +98,7 @@ class TrainingProcess(Training):
         # Not as an argument of the process: multiprocessing would wait for ever for a process that is killed
         # before it has read more than a pipe holds.
         with suppress(OSError):  # killed: `receive` finds the end of its pipe
-            self._events.send(work or partial(train_and_report, job))
+            self._events.send(job)
 
     @property
     def sentinel(self) -> int:
@@ -145,8 +143,8 @@ def _run(connection: Connection) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     threading.Thread(target=_end_with_session, daemon=True).start()
     try:
-        work: Work = connection.recv()
-        work(partial(_send, connection, os.getpid()), connection.poll)
+        job: TrainingJob = connection.recv()
+        train_and_report(job, partial(_send, connection, os.getpid()), connection.poll)
     except EOFError:  # the session has ended
         _end_group()
     connection.close()

@@ -1,7 +1,6 @@
 """The session's handle of a training process, if that dies before it has read its work."""
 
 import sys
-from functools import partial
 from multiprocessing import get_context
 from threading import Thread
 from types import SimpleNamespace
@@ -25,8 +24,7 @@ def test_a_process_killed_before_it_has_read_its_work_is_at_its_end(monkeypatch:
     received: list[object] = []
 
     def start() -> None:
-        job = cast(TrainingJob, SimpleNamespace(seeds=(0,)))
-        process = TrainingProcess(job, partial(print, "x" * 2**20))
+        process = TrainingProcess(cast(TrainingJob, SimpleNamespace(seeds=(0,), ballast="x" * 2**20)))
         received.extend((process.receive(), process.join()))
 
     # In a thread, so that waiting for ever fails the test.
