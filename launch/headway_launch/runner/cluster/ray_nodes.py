@@ -6,7 +6,6 @@ Usage: `python -m headway_launch.runner.cluster.ray_nodes HOST:PORT [NUMBER]`.
 import argparse
 import sys
 import time
-from collections.abc import Callable
 
 from headway.contracts.errors import HeadwayError
 from headway.rollout.workers.ray_cluster import connect, disconnect, require_answer, require_ray
@@ -16,35 +15,18 @@ _PATIENCE_S = 300.0
 _POLL_S = 0.5
 
 
-def wait_for_head(address: str, patience_s: float = _PATIENCE_S) -> None:
-    """Wait until the head of the cluster answers, without connecting to it by Ray.
-
-    Raises HeadwayError as `wait_for_nodes` does.
-    """
-    _wait(lambda: require_answer(address), patience_s)
-
-
-def wait_for_nodes(address: str, number: int, patience_s: float = _PATIENCE_S) -> None:
-    """Wait until the cluster has `number` live nodes.
+def wait_for_nodes(address: str, number: int = 0, patience_s: float = _PATIENCE_S) -> None:
+    """Wait until the head of the cluster answers and, unless `number` is 0, has that many live nodes.
 
     Raises HeadwayError with the reason after `patience_s` seconds, or at once if Ray is not installed.
     """
-
-    def require_nodes() -> None:
-        require_answer(address)
-        if (found := _nodes_of(address)) < number:
-            raise HeadwayError(f"the Ray cluster at {address} has {found} of {number} nodes")
-
-    _wait(require_nodes, patience_s)
-
-
-def _wait(require: Callable[[], object], patience_s: float) -> None:
-    """Repeat `require` until it raises no HeadwayError; raise its last one after `patience_s` seconds."""
     require_ray()
     deadline = time.monotonic() + patience_s
     while True:
         try:
-            require()
+            require_answer(address)
+            if number and (found := _nodes_of(address)) < number:
+                raise HeadwayError(f"the Ray cluster at {address} has {found} of {number} nodes")
         except HeadwayError as error:
             if time.monotonic() > deadline:
                 raise HeadwayError(f"after {patience_s:g} s: {error}") from error
@@ -68,13 +50,10 @@ def main() -> None:
     """Run the command line of this module."""
     parser = argparse.ArgumentParser(description="Wait for the head of a Ray cluster, or for NUMBER nodes.")
     parser.add_argument("address", metavar="HOST:PORT")
-    parser.add_argument("number", metavar="NUMBER", type=int, nargs="?")
+    parser.add_argument("number", metavar="NUMBER", type=int, nargs="?", default=0)
     arguments = parser.parse_args()
     try:
-        if arguments.number is None:
-            wait_for_head(arguments.address)
-        else:
-            wait_for_nodes(arguments.address, arguments.number)
+        wait_for_nodes(arguments.address, arguments.number)
     except HeadwayError as error:
         print_line(f"headway: {error}")
         sys.exit(2)

@@ -11,7 +11,7 @@ from command_lines import Refused
 from headway.contracts import HeadwayError
 from headway_launch.commands.main import run
 from headway_launch.runner.cluster import ray_nodes
-from headway_launch.runner.cluster.ray_nodes import wait_for_head, wait_for_nodes
+from headway_launch.runner.cluster.ray_nodes import wait_for_nodes
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
 SWEEP = ("sweep", "env=visitors", "algo=ippo,ia2c", "study=a study", "seed=3,5..6")
@@ -24,7 +24,7 @@ def test_missing_nodes_are_an_error_after_the_timeout() -> None:
     with pytest.raises(HeadwayError, match=refused):
         wait_for_nodes("127.0.0.1:1", 2, patience_s=0.1)
     with pytest.raises(HeadwayError, match=refused):
-        wait_for_head("127.0.0.1:1", patience_s=0.1)
+        wait_for_nodes("127.0.0.1:1", patience_s=0.1)
 
 
 @pytest.mark.parametrize(("words", "waited"), [([], ["head"]), (["3"], ["head", "nodes"] * 3)])
