@@ -1,9 +1,9 @@
 """Store interface of the session process: cells and runs, sent to an MLflow server if there is one."""
 
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
@@ -236,7 +236,7 @@ class Run:
         self.directory, self.gate = directory, gate
         self.record = record
         self._store = store
-        self._resumed_at = now()
+        self._resumed_at = time.monotonic()
         self.energy = EnergyLog(directory)
         """Energy samples of the run, whose values are totals over all sessions."""
         store.track_run(directory)
@@ -292,10 +292,7 @@ class Run:
             return
         self.energy.write()
         write_json(self.directory / SUMMARY, summary)
-        self.record = replace(self.record, status=status, ended=now(), duration_s=self.duration_s)
+        duration_s = self.record.duration_s + time.monotonic() - self._resumed_at
+        self.record = replace(self.record, status=status, ended=now(), duration_s=duration_s)
         self.record.write(self.directory)
         self._store.track_run(self.directory)
-
-
-def _seconds_since(moment: str) -> float:
-    return (datetime.fromisoformat(now()) - datetime.fromisoformat(moment)).total_seconds()
