@@ -35,8 +35,6 @@ class JobRecorder:
     uses_gpu: bool = False
     before: Sequence[Row] = ()
     """Last energy sample of each seed from earlier sessions; empty for new runs."""
-    env_steps: int = 0
-    """Environment steps per seed, including those before a resume."""
     used: Usage = field(default_factory=Usage)
     """Resources used in this session by all seeds of the job."""
     process_ids: tuple[int, ...] = ()
@@ -47,8 +45,6 @@ class JobRecorder:
     store_s: float = 0.0
     """Seconds of `trained_s` spent on logs and checkpoints."""
     failure: Failed | None = None
-    _first: tuple[float, int] | None = None
-    _last: tuple[float, int] | None = None
 
     def take(self, event: Event) -> None:
         """Write an event into the runs. Raises HeadwayError if the store cannot be written."""
@@ -58,12 +54,7 @@ class JobRecorder:
                 if event.episodes_restarted:
                     for run in self.runs:
                         run.note_restart(iteration)
-            case IterationFinished():
-                self.env_steps, self.used = event.env_steps, event.usage
-                # The training process's own clock: events may wait while the session is busy.
-                self._last = (event.wall_s, event.env_steps)
-                self._first = self._first or self._last
-            case EvaluationFinished(usage=usage):
+            case IterationFinished(usage=usage) | EvaluationFinished(usage=usage):
                 self.used = usage
             case CheckpointSaved(iteration=iteration):
                 for run in self.runs:
@@ -99,14 +90,6 @@ class JobRecorder:
             samples.append({"time": moment, **sums, "duration_s": run.duration_s})
             run.energy.append(samples[-1])
         return samples
-
-    @property
-    def steps_per_second(self) -> float | None:
-        """Environment steps per second and seed, from the end of the first iteration to that of the last."""
-        if self._first is None or self._last is None or self._last == self._first:
-            return None
-        (begin, first), (end, last) = self._first, self._last
-        return (last - first) / max(end - begin, 1e-9)
 
     @property
     def saved_iteration(self) -> int:

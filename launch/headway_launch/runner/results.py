@@ -77,7 +77,7 @@ class SeedResult:
 
 
 def run_summary(
-    run: "Run", steps_per_second: float | None, mode: str, used: Row, energy_modes: Mapping[str, str]
+    run: "Run", mode: str, used: Row, energy_modes: Mapping[str, str]
 ) -> dict[str, float | int | str | None]:
     """Return the summary of a run whose training has ended, from its log and its last energy sample.
 
@@ -90,7 +90,7 @@ def run_summary(
         "final_reward": final,
         "auc": area,
         "env_steps": run.record.durable_env_steps,
-        "steps_per_second": steps_per_second,
+        "steps_per_second": _steps_per_second(run),
         **{name: float(used[name]) if name in used else None for name in _USE},
         **energy_modes,
     }
@@ -115,6 +115,17 @@ def curve_metrics(run: "Run", mode: str) -> tuple[float | None, float | None]:
     steps, values = list(points), list(points.values())
     area = auc(steps, values)
     return final_reward(steps, values), None if math.isnan(area) else area
+
+
+def _steps_per_second(run: "Run") -> float | None:
+    """Return the environment steps per second from the end of the first iteration to the last checkpoint."""
+    from headway.store.parquet_log import read_curve
+
+    times = read_curve(run.directory, "wall_s")
+    steps = [each for each in times if 0 < each <= run.record.durable_env_steps]
+    if len(steps) < 2:
+        return None
+    return (steps[-1] - steps[0]) / max(times[steps[-1]] - times[steps[0]], 1e-9)
 
 
 def print_results(

@@ -144,7 +144,7 @@ class Runner:
             return
         energy, mode = self._energy.finish(job), cell.config.evaluation.modes[0]
         for run, used in zip(recorder.runs, energy, strict=True):
-            summary = run_summary(run, recorder.steps_per_second, mode, used, self._energy.modes)
+            summary = run_summary(run, mode, used, self._energy.modes)
             run.finish(job.stored_status, summary)
             cell.results[run.run_id] = SeedResult.read(run.directory)
         if self._debug and recorder.failure:

@@ -43,7 +43,7 @@ def train(recording: JobRecorder, iterations: int) -> None:
 
 
 def result_of(run: Run) -> SeedResult:
-    run.finish("KILLED", run_summary(run, None, "greedy", {}, {}))
+    run.finish("KILLED", run_summary(run, "greedy", {}, {}))
     return SeedResult.read(run.directory)
 
 
