@@ -29,7 +29,7 @@ from headway.store.run_folder import (
 )
 from headway.store.run_plan import PLAN
 from headway.store.tracking.cells import CellSummary, send_cell
-from headway.store.tracking.sync import RunSync, has_unsent, send_unsent
+from headway.store.tracking.sync import RunSync, send_unsent
 from headway.store.tracking.thread import TrackingThread, TrackingUpdate
 
 
@@ -133,8 +133,7 @@ class SessionStore:
         Runs of earlier sessions are included.
         """
         if self._mlflow:
-            if has_unsent(self.root, self._mlflow.uri):
-                self._mlflow.submit(partial(send_unsent, self.root))
+            self._mlflow.submit(partial(send_unsent, self.root))
             self._mlflow.close(seconds)
         return self.notices()
 

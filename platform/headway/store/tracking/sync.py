@@ -150,27 +150,19 @@ def sync_each(root: Path) -> Synced:
     return Synced(tuple(sent), tuple(problems), attended, tuple(failures))
 
 
-def has_unsent(root: Path, tracking_uri: str) -> bool:
-    """Return whether runs or cells trained with this tracking URI, without those of other live sessions, are
-    not yet sent completely."""
-    runs, cells, _ = _missing(root, tracking_uri, *_trained_with(tracking_uri, *_runs_and_cells(root)))
-    return bool(runs or cells)
-
-
 def send_unsent(root: Path, tracker: Tracker) -> None:
-    """Send the runs and cells that `has_unsent` finds for a tracker's URI.
+    """Send what is missing of runs and cells trained with a tracker's URI, but those of other live sessions.
 
     Raises TrackingError if MLflow fails and, after all other runs are sent, HeadwayError if runs cannot be
     read.
     """
-    runs, cells, _ = _missing(root, tracker.uri, *_trained_with(tracker.uri, *_runs_and_cells(root)))
+    trained = _trained_with(tracker.uri, _runs(root)[0], cell_summaries(root)[0])
+    runs, cells, _ = _missing(root, tracker.uri, *trained)
+    if not runs and not cells:
+        return
     _, unreadable = _send(root, tracker, runs, cells)
     if unreadable:
         raise HeadwayError("; ".join(unreadable))
-
-
-def _runs_and_cells(root: Path) -> tuple[list[tuple[Path, RunRecord]], list[CellSummary]]:
-    return _runs(root)[0], cell_summaries(root)[0]
 
 
 def _trained_with(
