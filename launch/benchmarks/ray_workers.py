@@ -99,7 +99,7 @@ def report() -> None:
 def _report_transfer() -> dict[str, TransferCost]:
     """Print and return the transfer costs by task, for tasks with a batched environment."""
     from headway.rollout.workers.ray_cluster import connect, disconnect
-    from headway.rollout.workers.ray_workers import RaySamplingTransport, experience_of
+    from headway.rollout.workers.ray_workers import RayLauncher, experience_of
 
     sizes: dict[str, tuple[float, float]] = {}
     connect("local")
@@ -113,14 +113,14 @@ def _report_transfer() -> dict[str, TransferCost]:
             shapes = plan.policy.parameter_shapes(plan.replicas)
             parameters = {key: np.zeros(shape, dtype) for key, (shape, dtype) in shapes.items()}
             shards = plan.shards(task.workers)
-            transport = RaySamplingTransport(BackendConfig("ray"), plan, shards, print)
-            collector = PoolCollector(plan, transport, len(shards), print)
+            launcher = RayLauncher(BackendConfig("ray"), plan, shards, print)
+            collector = PoolCollector(plan, launcher, len(shards), print)
             try:
                 collector.begin()
                 collector.collect(1, parameters)
                 experience = experience_of(collector.trajectory).values()
                 sent = sum(array.nbytes for array in experience) / (task.copies * task.steps)
-                put = _median_ms(partial(transport.publish, parameters))
+                put = _median_ms(partial(launcher.publish, parameters))
                 collected = _median_ms(partial(collector.collect, 2, parameters))
             finally:
                 collector.close()

@@ -8,7 +8,7 @@ from headway.rollout.collector import Backend, Collector, Contributors
 from headway.rollout.plan import RolloutPlan, Shard
 from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.serial_collector import SerialCollector
-from headway.rollout.workers.process_workers import ProcessLauncher, process_collector
+from headway.rollout.workers.process_workers import ProcessLauncher
 from headway.rollout.workers.worker_pool import Notify, WorkerLauncher
 
 
@@ -35,8 +35,9 @@ def open_contributors(backend: BackendConfig, plan: RolloutPlan, notify: Notify)
     if backend.name == "serial":
         contributors = SerialContributors(plan)
     else:
-        number, launcher = len(plan.block_shards), _launcher(backend, plan, notify)
-        contributors = PoolContributors(plan, launcher, number, notify, backend.worker_timeout_s)
+        shards = plan.block_shards
+        launcher = _launcher(backend.name, backend, plan, shards, notify)
+        contributors = PoolContributors(plan, launcher, len(shards), notify, backend.worker_timeout_s)
     if backend.name != "serial" or plan.spec.max_copies_per_process is not None:
         _add_evaluator(contributors, backend, contributors.number, notify)
     return contributors
@@ -67,18 +68,16 @@ def _open(
     """Start the collector of the backend `name`, which may differ from that of `backend`."""
     if name == "serial":
         return SerialCollector(plan)
+    launcher = _launcher(name, backend, plan, shards, notify)
+    return PoolCollector(plan, launcher, len(shards), notify, backend.worker_timeout_s)
+
+
+def _launcher(
+    name: str, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
+) -> WorkerLauncher:
+    """Return the launcher of the workers of a backend, in processes or on a Ray cluster."""
     if name == "process":
-        return process_collector(plan, shards, notify, backend.worker_timeout_s)
-    from headway.rollout.workers.ray_workers import RaySamplingTransport  # imports Ray, an optional extra
+        return ProcessLauncher(plan, shards)
+    from headway.rollout.workers.ray_workers import RayLauncher  # imports Ray, an optional extra
 
-    transport = RaySamplingTransport(backend, plan, shards, notify)
-    return PoolCollector(plan, transport, len(shards), notify, backend.worker_timeout_s)
-
-
-def _launcher(backend: BackendConfig, plan: RolloutPlan, notify: Notify) -> WorkerLauncher:
-    """Return the launcher of contributing workers, in processes or on a Ray cluster."""
-    if backend.name == "process":
-        return ProcessLauncher(plan, plan.block_shards)
-    from headway.rollout.workers.ray_workers import RayLauncher
-
-    return RayLauncher(backend, plan, plan.block_shards, notify)
+    return RayLauncher(backend, plan, shards, notify)

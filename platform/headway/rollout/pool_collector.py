@@ -1,9 +1,8 @@
 """Rollouts in a pool of workers, one shard of the copies per worker."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
-from headway.contracts import Trajectory
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row
 from headway.rollout.collector import Collector, concatenate_blocks, require_shards, restart_purpose
@@ -14,19 +13,6 @@ from headway.rollout.workers.worker import Begin, Collect, Evaluate
 from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, resume_command
 
 
-class SamplingTransport(WorkerLauncher, Protocol):
-    """A launcher of sampling workers that also moves parameters to them and experience back."""
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """Experience of all workers, complete once they have answered."""
-        ...
-
-    def publish(self, parameters: Parameters) -> None:
-        """Send the acting parameters, arrays (P, ...) by name, which all workers use until the next call."""
-        ...
-
-
 class PoolCollector(Collector):
     """A collector whose workers fill one trajectory, all with the same parameters."""
 
@@ -35,20 +21,20 @@ class PoolCollector(Collector):
     def __init__(
         self,
         plan: RolloutPlan,
-        transport: SamplingTransport,
+        launcher: WorkerLauncher,
         number: int,
         notify: Notify,
         timeout_s: float | None = None,
     ) -> None:
-        self.plan, self.transport, self.trajectory = plan, transport, transport.trajectory
-        self.pool = WorkerPool(transport, number, notify, plan.spec.name, timeout_s)
+        self.plan, self.launcher, self.trajectory = plan, launcher, launcher.trajectory
+        self.pool = WorkerPool(launcher, number, notify, plan.spec.name, timeout_s)
 
     def begin(self) -> None:
         self.pool.all([Begin(self.plan.seed_purpose)] * len(self.pool.workers))
 
     def collect(self, iteration: int, parameters: Parameters) -> list[Episode]:
         """Sample one iteration in all workers at once; a worker that dies is replaced and samples again."""
-        self.transport.publish(parameters)
+        self.launcher.publish(parameters)
         done = self.pool.all([Collect(iteration)] * len(self.pool.workers))
         self.pool.restart_purpose = restart_purpose(iteration)
         return sort_episodes(episode for part in done for episode in part.episodes)
@@ -58,7 +44,7 @@ class PoolCollector(Collector):
 
         Each task is one block of episodes of one replica group; the workers take the tasks in turn.
         """
-        self.transport.publish(parameters)
+        self.launcher.publish(parameters)
         tasks = [Evaluate(request, *group) for group in self.plan.groups for request in requests]
         played: list[list[list[Row]]] = []
         for start in range(0, len(tasks), len(self.pool.workers)):

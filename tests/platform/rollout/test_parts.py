@@ -200,7 +200,7 @@ def test_a_collector_is_closed_if_its_evaluator_cannot_start(monkeypatch: pytest
             raise HeadwayError("no room")
 
     closed: list[object] = []
-    monkeypatch.setattr(backends, "process_collector", Full)
+    monkeypatch.setattr(backends, "ProcessLauncher", Full)
     monkeypatch.setattr(backends.SerialCollector, "close", lambda self: closed.append(self))
     plan = _limited(plan_of_toy("visitors"), 100)
     with pytest.raises(HeadwayError, match="no room"):

@@ -4,7 +4,6 @@ import multiprocessing
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import replace
 from multiprocessing import connection
 from multiprocessing.context import ForkServerProcess
 from typing import Any
@@ -14,10 +13,9 @@ from headway.contracts.acting_policy import Parameters
 from headway.contracts.trajectory import arrays_in, block_nbytes
 from headway.rollout.forks import without_main_module
 from headway.rollout.plan import RolloutPlan, Shard
-from headway.rollout.pool_collector import PoolCollector
 from headway.rollout.workers.shared_memory import SharedBlock, SharedPickle
 from headway.rollout.workers.worker import Command, CommandFailed, Done, WorkerSetup, run_worker
-from headway.rollout.workers.worker_pool import Notify, WorkerConnection
+from headway.rollout.workers.worker_pool import WorkerConnection
 
 GRACE_S = 5.0
 """Seconds that workers may take to finish their command on closing, or to die after closing their pipe."""
@@ -25,23 +23,29 @@ GRACE_S = 5.0
 _START_ATTEMPTS, _START_PAUSE_S = 10, 0.1
 
 
-def process_collector(
-    plan: RolloutPlan, shards: Sequence[Shard], notify: Notify, timeout_s: float | None = None
-) -> PoolCollector:
-    """Start one worker process per shard; all share one trajectory and one set of parameters."""
-    return PoolCollector(plan, SharedMemoryTransport(plan, shards), len(shards), notify, timeout_s)
-
-
 class ProcessLauncher:
-    """Starts worker processes with multiprocessing's forkserver."""
+    """Starts worker processes with multiprocessing's forkserver.
+
+    Trajectory and parameters lie in shared memory.
+    """
 
     def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
-        self.plan = SharedPickle.of(plan)
-        self.setups = [WorkerSetup(self.plan, shard) for shard in shards]
+        self.plan, shapes = SharedPickle.of(plan), plan.policy.parameter_shapes(plan.replicas)
+        trajectory = SharedBlock.create(plan.layout.nbytes)
+        memory = SharedBlock.create(block_nbytes(shapes), "parameters")
+        self.blocks = self.plan.block, trajectory, memory
+        self.trajectory = Trajectory.from_buffer(trajectory.buffer, plan.layout)
+        self.parameters = arrays_in(memory.buffer, shapes)
+        self.setups = [WorkerSetup(self.plan, shard, trajectory, memory) for shard in shards]
         self.context = multiprocessing.get_context("forkserver")
         policy = type(plan.policy).__module__
         preload = [*plan.preload, *([policy] if policy != "__main__" else [])]
         self.context.set_forkserver_preload(["headway.rollout.workers.worker", *preload])
+
+    def publish(self, parameters: Parameters) -> None:
+        """Copy the parameters to shared memory."""
+        for name, array in self.parameters.items():
+            array[...] = parameters[name]
 
     def start(self, shard: int) -> "ProcessConnection":
         """Start the worker process of a shard."""
@@ -59,7 +63,7 @@ class ProcessLauncher:
         return connection.wait(waitables, timeout_s)
 
     def dismiss(self, links: Sequence[WorkerConnection]) -> None:
-        """End the workers, with one grace period for all of them."""
+        """End the workers, with one grace period for all of them, and close the shared blocks."""
         ours = [link for link in links if isinstance(link, ProcessConnection)]
         for link in ours:
             link.pipe.close()
@@ -68,32 +72,6 @@ class ProcessLauncher:
             link.process.join(max(deadline - time.monotonic(), 0))
             if link.process.is_alive():
                 link.kill()
-        self.plan.block.close()
-
-
-class SharedMemoryTransport(ProcessLauncher):
-    """Starts sampling worker processes whose trajectory and parameters lie in shared memory."""
-
-    def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
-        super().__init__(plan, shards)
-        shapes = plan.policy.parameter_shapes(plan.replicas)
-        self.blocks = (
-            SharedBlock.create(plan.layout.nbytes),
-            SharedBlock.create(block_nbytes(shapes), "parameters"),
-        )
-        self.trajectory = Trajectory.from_buffer(self.blocks[0].buffer, plan.layout)
-        self.parameters = arrays_in(self.blocks[1].buffer, shapes)
-        trajectory, memory = self.blocks
-        self.setups = [replace(each, trajectory=trajectory, parameters=memory) for each in self.setups]
-
-    def publish(self, parameters: Parameters) -> None:
-        """Copy the parameters to shared memory."""
-        for name, array in self.parameters.items():
-            array[...] = parameters[name]
-
-    def dismiss(self, links: Sequence[WorkerConnection]) -> None:
-        """End the workers and close the shared blocks."""
-        super().dismiss(links)
         for block in self.blocks:
             block.close()
 

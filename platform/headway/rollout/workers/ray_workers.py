@@ -111,7 +111,10 @@ class RayRolloutWorker:
 
 
 class RayLauncher:
-    """Starts Ray workers, spread over the cluster's nodes."""
+    """Starts Ray workers, spread over the cluster's nodes.
+
+    Parameters and experience move through the object store.
+    """
 
     def __init__(
         self, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
@@ -120,6 +123,8 @@ class RayLauncher:
         self.notify, self.here = notify, Place.here()
         pickled = pickled_whole(plan)
         self.setups = [pickle.dumps(WorkerSetup(pickled, shard)) for shard in shards]
+        self.trajectory = Trajectory.allocate(plan.layout)
+        self.parts = [shard_views(self.trajectory, plan.replicas, shard) for shard in shards]
         self.cpus = backend.cpus_per_worker
         self.other_machines: set[str] = set()
         """Identifiers of other machines that workers run on."""
@@ -147,9 +152,11 @@ class RayLauncher:
         self.published = None
         disconnect()
 
-    def store_experience(self, shard: int, experience: Experience) -> None:
-        """Store the experience that came with an answer; overridden by launchers of sampling workers."""
-        raise TypeError(f"worker {shard} returned experience unexpectedly")
+    def publish(self, parameters: Parameters) -> None:
+        """Put the parameters into the object store."""
+        # In C order, as in shared memory: the layout affects the rounding of matrix products.
+        ordered = {name: np.ascontiguousarray(array) for name, array in parameters.items()}
+        self.published = ray.put(ordered)
 
     def check_place(self, shard: int, place: Place) -> None:
         """Raise HeadwayError if a worker's package versions differ from those of this process.
@@ -180,27 +187,6 @@ class RayLauncher:
             f"{total:g} are free; it starts as soon as there are enough; a lower backend.workers or "
             "backend.worker_cpus needs fewer"
         )
-
-
-class RaySamplingTransport(RayLauncher):
-    """Starts sampling Ray workers and moves parameters and experience through the object store."""
-
-    def __init__(
-        self, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
-    ) -> None:
-        super().__init__(backend, plan, shards, notify)
-        self.trajectory = Trajectory.allocate(plan.layout)
-        self.parts = [shard_views(self.trajectory, plan.replicas, shard) for shard in shards]
-
-    def publish(self, parameters: Parameters) -> None:
-        """Put the parameters into the object store."""
-        # In C order, as in shared memory: the layout affects the rounding of matrix products.
-        ordered = {name: np.ascontiguousarray(array) for name, array in parameters.items()}
-        self.published = ray.put(ordered)
-
-    def store_experience(self, shard: int, experience: Experience) -> None:
-        """Copy a worker's experience to its place in the trajectory."""
-        place_experience(self.parts[shard], experience)
 
 
 class RayConnection:
@@ -249,7 +235,7 @@ class RayConnection:
         if isinstance(answer, CommandFailed):
             return answer
         if experience is not None:
-            self.launcher.store_experience(self.shard, experience)
+            place_experience(self.launcher.parts[self.shard], experience)
         # Energy is measured on this machine only and divided by the usage on this machine.
         return answer if self.process_id is not None else replace(answer, usage=Usage())
 

@@ -39,9 +39,9 @@ class WorkerSetup:
     """A pickled `RolloutPlan`, in shared memory if the worker is on this machine."""
     shard: Shard
     trajectory: SharedBlock | None = None
-    """Trajectory of all workers; None: the worker has one of its shard."""
+    """Trajectory of all workers; None, and for contributors: the worker has one of its shard."""
     parameters: SharedBlock | dict[str, NDArray[Any]] = field(default_factory=dict)
-    """Parameters of all replicas, which change between commands; empty for contributors."""
+    """Parameters of all replicas, which change between commands. Contributors do not use them."""
 
     def open(self) -> "WorkerService":
         """Return the worker's service.
@@ -51,8 +51,9 @@ class WorkerSetup:
         plan: RolloutPlan = pickle.loads(self.plan) if isinstance(self.plan, bytes) else self.plan.load()
         if isinstance(self.parameters, dict):
             return WorkerService(plan, self.shard, self.parameters)
-        assert self.trajectory is not None
         parameters = arrays_in(self.parameters.buffer, plan.policy.parameter_shapes(plan.replicas))
+        if self.trajectory is None or plan.make_contributor is not None:
+            return WorkerService(plan, self.shard, parameters)
         trajectory = Trajectory.from_buffer(self.trajectory.buffer, plan.layout)
         return WorkerService(plan, self.shard, parameters, trajectory)
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, Protocol
 
-from headway.contracts import HeadwayError
+from headway.contracts import HeadwayError, Trajectory
+from headway.contracts.acting_policy import Parameters
 from headway.contracts.errors import WorkersLostError
 from headway.events import Usage
 from headway.rollout.collector import restart_purpose
@@ -62,7 +63,19 @@ class WorkerConnection(Protocol):
 
 
 class WorkerLauncher(Protocol):
-    """Starts workers, as processes of this machine or as Ray workers of a cluster."""
+    """Starts workers, as processes of this machine or as Ray workers of a cluster.
+
+    It also moves parameters to sampling workers, and experience back; contributors have their own.
+    """
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Experience of all workers, complete once they have answered."""
+        ...
+
+    def publish(self, parameters: Parameters) -> None:
+        """Send the acting parameters, arrays (P, ...) by name, which all workers use until the next call."""
+        ...
 
     def start(self, shard: int) -> WorkerConnection:
         """Start the worker of a shard."""

@@ -22,6 +22,7 @@ class _Scripted:
 
     process_id = None
     waitable = None
+    trajectory: Any = None
     lost_with_machine = False
 
     def __init__(self, answers: Iterator[Done | str]) -> None:
@@ -34,6 +35,9 @@ class _Scripted:
         return list(waitables)
 
     def dismiss(self, links: Sequence[Any]) -> None:
+        pass
+
+    def publish(self, parameters: object) -> None:
         pass
 
     def await_start(self) -> None:
