@@ -184,11 +184,6 @@ class Tracker:
         if metrics or files or found.info.status != status:
             self._ask("set_terminated", run, status, end_time=moment)
 
-    def end(self, run: str, status: Status, ended: str) -> None:
-        """Set the final status of a run, if its status in MLflow is RUNNING."""
-        if self._ask("get_run", run).info.status == "RUNNING":
-            self._ask("set_terminated", run, status, end_time=milliseconds(ended))
-
     def _create_database(self) -> None:
         """Create MLflow's database if missing, safely for processes that start together.
 

@@ -124,30 +124,29 @@ def sync(root: Path, tracking_uri: str | None = None) -> Synced:
     """
     runs, problems = _runs(root)
     cells, more = cell_summaries(root)
-    sent, unreadable, attended = _send_missing(root, tracking_uri, runs, cells)
-    return Synced(tuple(sent), (*problems, *more, *unreadable), attended)
+    done = _send_missing(root, tracking_uri, runs, cells)
+    return done._replace(problems=(*problems, *more, *done.problems))
 
 
 def sync_each(root: Path) -> Synced:
     """Bring MLflow up to date by `sync`, each run at the tracking URI it was trained with."""
     runs, problems = _runs(root)
     cells, more = cell_summaries(root)
-    problems += more
-    sent: list[str] = []
-    failures: list[str] = []
-    attended = 0
+    done = Synced(problems=(*problems, *more))
     for uri in dict.fromkeys(
         [*(run[1].tracking_uri for run in runs), *(cell.tracking_uri for cell in cells)]
     ):
         try:
-            there, unreadable, live = _send_missing(root, uri, *_trained_with(uri, runs, cells))
+            there = _send_missing(root, uri, *_trained_with(uri, runs, cells))
         except TrackingError as error:
-            failures.append(str(error))
-            continue
-        sent += there
-        problems += unreadable
-        attended += live
-    return Synced(tuple(sent), tuple(problems), attended, tuple(failures))
+            there = Synced(failures=(str(error),))
+        done = Synced(
+            done.runs + there.runs,
+            done.problems + there.problems,
+            done.attended + there.attended,
+            done.failures + there.failures,
+        )
+    return done
 
 
 def send_unsent(root: Path, tracker: Tracker) -> None:
@@ -179,13 +178,13 @@ def _send_missing(
     tracking_uri: str | None,
     runs: Iterable[tuple[Path, RunRecord]],
     cells: Iterable[CellSummary],
-) -> tuple[list[str], list[str], int]:
-    """Send what is missing; return the runs sent, a line per unreadable run or cell, and the number of runs
-    left to their sessions."""
+) -> Synced:
+    """Send what is missing. Raises TrackingError if MLflow fails."""
     folders, places, attended = _missing(root, tracking_uri, runs, cells)
     if not folders and not places:
-        return [], [], attended
-    return (*_send(root, Tracker(root, tracking_uri), folders, places), attended)
+        return Synced(attended=attended)
+    sent, unreadable = _send(root, Tracker(root, tracking_uri), folders, places)
+    return Synced(tuple(sent), tuple(unreadable), attended)
 
 
 def _missing(
@@ -270,7 +269,7 @@ def _end_cells(root: Path, tracker: Tracker, places: Collection[tuple[str, str]]
         [*_, last] = newest
         _, parent = tracker.cell(last.study, last.cell, last.parameters, {}, running=False)
         ended = max(run.ended or run.started for run in newest)
-        tracker.end(parent, status_of_all(statuses), ended)
+        tracker.finish(parent, status_of_all(statuses), ended, {}, ())
     return unreadable
 
 
