@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from headway.adapters.conformance import CHECKS, play
     from headway.adapters.parallel_entry import parallel_entry
     from headway.adapters.pettingzoo import AdapterOptions
-    from headway.policies.load import load_policy
+    from headway.policies.files import load_policy
     from headway.policies.policy import Policy
     from headway.stats import frames, plots
     from headway.store.query import RunSelection, select
@@ -29,7 +29,7 @@ _LOADED_LATER = {
     "Policy": "headway.policies.policy:Policy",
     "RunSelection": "headway.store.query:RunSelection",
     "frames": "headway.stats.frames",
-    "load_policy": "headway.policies.load:load_policy",
+    "load_policy": "headway.policies.files:load_policy",
     "parallel_entry": "headway.adapters.parallel_entry:parallel_entry",
     "play": "headway.adapters.conformance:play",
     "plots": "headway.stats.plots",
