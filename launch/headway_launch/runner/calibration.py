@@ -158,8 +158,8 @@ def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, 
             while waiting or running:
                 while waiting and len(running) < shares.parallel:
                     place = Path(folder, str(len(waiting)))
-                    running.append(_Measurement(waiting.pop(0), shares, place))
-                    progress.note(f"measuring {running[-1].name}")
+                    running.append(_Measurement(waiting.pop(0), shares, place, progress))
+                    progress.note(running[-1].description)
                 wait([each.process.connection for each in running], _POLL_S)
                 for ended in [each for each in running if each.receive_events()]:
                     running.remove(ended)
@@ -187,10 +187,21 @@ def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, 
 class _Measurement:
     """A training process that ends once enough of its cell has been measured."""
 
-    def __init__(self, cell: CellPlan, shares: CoreShares, folder: Path) -> None:
-        self.cell, self.name = cell, cell.label or cell.experiment.algo_name
+    def __init__(self, cell: CellPlan, shares: CoreShares, folder: Path, progress: CountedProgress) -> None:
+        self.cell, self.name, self._progress = cell, cell.label or cell.experiment.algo_name, progress
         self.pace = Pace(str(folder), time.monotonic(), uses_gpu(cell.jobs[0]))
         self.process = TrainingProcess(_training_job(cell.jobs[0], shares, folder))
+
+    @property
+    def description(self) -> str:
+        """What is measured, for the user."""
+        config = self.cell.jobs[0].config
+        least, most = (min(1 + count, config.iterations) for count in (_FEWEST, _ITERATIONS))
+        return (
+            f"measuring {self.name}, since no finished run is like it: start, an evaluation of "
+            f"{counted(config.evaluation.episodes, 'episode')}, {least} to {most} iterations of "
+            f"{config.rollout.copies} x {config.rollout.steps} steps"
+        )
 
     def receive_events(self) -> bool:
         """Process the events that have arrived; return whether the measurement has ended.
@@ -207,6 +218,7 @@ class _Measurement:
                 case None:
                     raise HeadwayError(f"the calibration of {self.name} failed: {self.process.join()}")
             self.pace.take(event)
+            self._progress.add(0, f"{self.name}: iterations {len(self.pace.marks)}")
             if self.pace.is_enough:
                 self.process.ask_to_stop()
         if time.monotonic() - self.pace.launched > _PATIENCE_S:

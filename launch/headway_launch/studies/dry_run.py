@@ -1,6 +1,7 @@
 """A dry run: the runs of a session, and their time and energy as finished runs or a calibration predict."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from heapq import heapify, heapreplace
 from pathlib import Path
 from statistics import fmean
@@ -127,7 +128,7 @@ def _as_finished_runs(finished: Sequence[StoredRun], cell: CellPlan) -> list[Exp
         ]
         return sum(values) / len(values) if values else None
 
-    seconds = sum(run.record.duration_s for run in runs) / len(runs)
+    seconds = fmean(run.record.duration_s * stretch for run, stretch in zip(runs, stretches, strict=True))
     cpu_s, energy = mean("cpu_seconds") or 0.0, (mean("kwh"), mean("kg_co2"))
     expected = []
     for job in cell.jobs:

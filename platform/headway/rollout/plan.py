@@ -94,7 +94,7 @@ class RolloutPlan:
     rule_iterations: int = 0
     """Number of first iterations in which `rule` acts."""
     stage: int = 0
-    """Stage of training, from 0. Its first episodes have seeds of its own."""
+    """Index of the training stage, from 0. The first episodes of each stage have different seeds."""
     make_contributor: Callable[[], Contributor] | None = None
     """Makes the contributor of a worker of asynchronous training, which has a single seed; None: training is
     synchronous."""

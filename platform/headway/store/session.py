@@ -248,7 +248,7 @@ class Run:
     @property
     def duration_s(self) -> float:
         """Wall time so far over all sessions, s, while the run is trained."""
-        return self.record.duration_s + _seconds_since(self._resumed_at)
+        return self.record.duration_s + time.monotonic() - self._resumed_at
 
     def durable(self, iteration: int) -> None:
         """Record that the training process has made everything up to `iteration` durable.
@@ -291,7 +291,6 @@ class Run:
             return
         self.energy.write()
         write_json(self.directory / SUMMARY, summary)
-        duration_s = self.record.duration_s + time.monotonic() - self._resumed_at
-        self.record = replace(self.record, status=status, ended=now(), duration_s=duration_s)
+        self.record = replace(self.record, status=status, ended=now(), duration_s=self.duration_s)
         self.record.write(self.directory)
         self._store.track_run(self.directory)

@@ -85,7 +85,7 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
     assert header == ["cell", "jobs", "s per job", "total CPU s", "total kWh"]
     assert [row[:2] for row in rows] == [[algo, "3"] for algo in algorithms]
     assert all(float(row[2]) > 1 and float(row[3]) > 3 and row[4:] == [""] for row in rows)
-    measured = "of which no finished run tells the pace: start, an evaluation of 1 episode, 3 to 7 iterations"
+    measured = "since no finished run is like it: start, an evaluation of 1 episode, 3 to 7 iterations"
     lines = {f"measuring {algo}, {measured} of 8 x 128 steps" for algo in algorithms}
     assert lines <= set(shown.err.splitlines())
     assert "12 jobs" in shown.out
