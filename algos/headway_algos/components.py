@@ -38,7 +38,7 @@ class Component:
 
 
 ONE_STEP = {"steps": 16}
-"""Short iterations, for updates that take one policy step per iteration."""
+"""Default with short iterations, for updates that take one policy step per iteration."""
 
 
 UPDATES = {

@@ -37,7 +37,7 @@ class Grouping:
 
     @property
     def num_policies(self) -> int:
-        """K."""
+        """K: number of policies per replica."""
         return len(self.members)
 
     @property

@@ -44,7 +44,7 @@ class IterationFinished:
     """One iteration of sampling and learning is finished."""
 
     iteration: int
-    """Counts from 1."""
+    """Number of the iteration, from 1."""
     env_steps: int
     """Environment steps per seed so far."""
     usage: Usage

@@ -16,7 +16,7 @@ from headway_algos.networks.normalisation import RunningStatistics
 
 
 class PolicyStack:
-    """P = R x K policies, replica-major: what learners have in common."""
+    """Base of the learners: P = R x K policies, replica-major."""
 
     config: LearnerConfig
 

@@ -67,12 +67,12 @@ class Sequences:
         )
 
     def __len__(self) -> int:
-        """S."""
+        """S: sequences per network."""
         return self.row_index.shape[1]
 
     @property
     def length(self) -> int:
-        """L."""
+        """L: steps per sequence."""
         return len(self.row_index)
 
     def narrow(self, policies: Tensor) -> Self:

@@ -69,7 +69,7 @@ class Truncations:
         return cls(steps[safe], copies[safe], table >= 0)
 
     def __len__(self) -> int:
-        """F."""
+        """F: time points per replica, padding included."""
         return len(self.steps)
 
     def take(self, array: NDArray[Any]) -> NDArray[Any]:

@@ -41,7 +41,7 @@ class Perceptrons(NamedTuple):
     exponents: NDArray[np.int32]
     """(ROWS,): scratch for `exp`, the exponent bits of floating-point numbers."""
     powers: Floats
-    """(ROWS,): the same bytes as float32."""
+    """(ROWS,): view of `exponents` as float32, a power of two each."""
 
     @property
     def outputs(self) -> int:

@@ -44,7 +44,7 @@ class Transitions:
     (B, 0) if the environment has no masks."""
 
     def __len__(self) -> int:
-        """B."""
+        """B: number of transitions."""
         return len(self.streams)
 
 

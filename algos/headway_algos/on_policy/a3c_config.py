@@ -8,7 +8,7 @@ from headway_algos.config import AlgoConfig
 
 @dataclass(frozen=True)
 class A3CConfig(AlgoConfig):
-    """How workers' gradients are applied."""
+    """Hyper-parameters of A3C: the order in which workers' gradients are applied."""
 
     application: Literal["arrival", "in_turns"] = "arrival"
     """When a worker's gradient is applied. `arrival`: as soon as it arrives, so that runs are not

@@ -24,7 +24,7 @@ class RuleDecisions:
     """
 
     def __init__(self, replicas: int, policies: int) -> None:
-        """`replicas`: R; `policies`: K."""
+        """`replicas`: number R of seeds; `policies`: number K of policies per seed."""
         self.capacity = max(CAPACITY // policies, LEAST)
         self.kept: list[dict[str, Tensor]] = [{} for _ in range(replicas * policies)]
 

@@ -69,7 +69,7 @@ class PreparedEnv:
     prepared: Any
     """Data that all copies of the evaluation environment share: the result of `EnvEntry.prepare`."""
     stages: tuple[Any, ...]
-    """The shared data of the training environment of each stage, of which there is one without `stages`."""
+    """Shared data of each stage's training environment; a single item without `stages`."""
     spec: EnvSpec
     """Spec of the training environments."""
 

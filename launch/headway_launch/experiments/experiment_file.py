@@ -18,7 +18,7 @@ _NAMED_BY = {"env": "id", "algo": "name", "backend": "name"}
 
 
 def split_experiment_file(overrides: Sequence[str]) -> tuple[Path | None, list[str]]:
-    """Return the experiment's file among overrides, if there is one, and the others.
+    """Return the experiment's file among the overrides, or None, and the remaining overrides.
 
     Raises HeadwayError for a second experiment.
     """

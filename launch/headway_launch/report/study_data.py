@@ -250,7 +250,7 @@ class StudyData:
 
     @cached_property
     def scale(self) -> dict[str, tuple[float, float]]:
-        """(random, best rule) on the episodes of the curves, times `sign`, by task.
+        """Mean values of the random rule and of the best rule on the curves' episodes, times `sign`, by task.
 
         Tasks without a rule better than the random one are absent.
         """

@@ -31,8 +31,8 @@ def stored_policy(run: StoredRun, environment: PreparedEnv, best: bool = False) 
     """Return the policies in the newest complete checkpoint of a run, for playing in `environment`.
 
     `environment` is the run's own, or one with the same `Experiment.evaluated_env`. `best`: the policies at
-    the evaluation with the highest return instead of the newest. Raises HeadwayError if
-    there is no checkpoint, or if it does not fit the environment's observations and actions or is not finite.
+    the evaluation with the highest return instead of the newest. Raises HeadwayError if there is no
+    checkpoint, or if it does not fit the environment's observations and actions or is not finite.
     """
     experiment, rollout = run.experiment, run.experiment.config.rollout
     spec = run.policy_spec(environment)

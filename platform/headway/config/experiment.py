@@ -212,7 +212,7 @@ class StartConfig:
 
 @dataclass(frozen=True)
 class StageConfig:
-    """A part of training, in a training environment of its own."""
+    """One part of training, with its own length and changes to the training environment."""
 
     env_steps: int
     """Environment steps per seed."""

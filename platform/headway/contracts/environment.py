@@ -62,7 +62,7 @@ class EnvSpec:
 
     @property
     def num_agents(self) -> int:
-        """N."""
+        """N: number of agents."""
         return len(self.agents)
 
     @property
@@ -149,7 +149,7 @@ class BatchedEnv(Protocol):
 
     @property
     def num_copies(self) -> int:
-        """C."""
+        """C: number of copies."""
         ...
 
     def reset(self, seeds: NDArray[np.uint64]) -> Observations:

@@ -43,7 +43,7 @@ class TrajectoryLayout:
     spec: EnvSpec
     """Environment that the trajectory is sampled from."""
     steps: int
-    """T."""
+    """T: steps per copy."""
     copies: int
     """C, copies of all replicas."""
     hidden_size: int = 0

@@ -22,7 +22,7 @@ class PolicyDescription:
     agents: tuple[str, ...]
     """Names of the N agents in array order."""
     observation_size: int
-    """D."""
+    """D: components of an observation."""
     action_space: ActionSpace
     """Action space of the environment."""
     policy_space: ActionSpace

@@ -226,7 +226,7 @@ class Cell:
 
 
 class Run:
-    """Session side of one seed's run.
+    """One seed's run as the session records it.
 
     The training process writes the log and the checkpoints in `directory`, through `gate`.
     """

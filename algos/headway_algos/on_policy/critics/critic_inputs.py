@@ -21,7 +21,7 @@ class CriticInputs(Protocol):
     grouping: Grouping
     """Assignment of viewpoints to the critic networks of one replica."""
     viewpoints: int
-    """W."""
+    """W: viewpoints per copy."""
     single: bool
     """One value per team: W is 1, and the value exists also while no agent is alive."""
     needs_actions: bool
