@@ -65,7 +65,7 @@ def campaign(scale: Scale, seed: int, folder: Path) -> list[Tally]:
         case = Case.drawn(chance)
         outcome, why, root = run_case(case, folder, folder / f"{number}")
         if outcome is Outcome.ACCEPTED and case.fault in HARMLESS and _curve_of(root) != undisturbed:
-            outcome, why = Outcome.LOST, "its curve is not that of an undisturbed run"
+            outcome, why = Outcome.LOST, "its curve differs from that of an undisturbed run"
         tally.add(outcome, f"{case}: {why}" if outcome in FAILURES else "")
     return [tally]
 

@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Write the policy once it agrees with the rollout worker's, and print the path of the file."""
+    """Check the exported policy against the rollout worker's, write it and print the path of the file."""
     from headway.policies.files import FORMATS, policy_bytes
     from headway.policies.trained_run import TrainedRun
     from headway.store.atomic_files import write_durably

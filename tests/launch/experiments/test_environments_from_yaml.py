@@ -134,7 +134,7 @@ def test_rewards_are_changed_while_learning_and_reported_as_they_are(environment
     [
         (
             "[{name: max_observation_v0, memory: 2}]",
-            r"^evaluation\.rules: rule 'optimal' of trivial cannot look",
+            r"^evaluation\.rules: rule 'optimal' of trivial cannot inspect",
         ),
         # The key is that of the whole list, also where what is reported on goes without the first.
         (

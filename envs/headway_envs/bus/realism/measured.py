@@ -96,4 +96,4 @@ TOLERANCES: Mapping[str, Tolerance] = {
     RESPONSE: Tolerance(0.10),
 }
 """Tolerance of each statistic, chosen by judgement. At the first call a replay repeats the data, so hardly
-any difference is accepted; the others are about the difference between two measured days of one day type."""
+any difference is accepted; the others are near the difference between two measured days of one day type."""

@@ -133,7 +133,7 @@ def trips_of_day(tables: Mapping[str, Columns], config: BusConfig) -> Columns:
 
 
 def pattern_rows(tables: Mapping[str, Columns], config: BusConfig) -> list[int]:
-    """Return the number in the tables of each of the network's patterns.
+    """Return the index in the tables of each pattern of the network.
 
     Raises HeadwayError if no trip leaves within the service day.
     """

@@ -133,7 +133,7 @@ def read_day(file: Path, date: dt.date, counted: Counter[str]) -> Day:
         counted[f"{name} infinite, taken as 0"] += int(np.isinf(values).sum())
         counted[f"{name} below 0, taken as 0"] += int((values < 0).sum())
         values = np.where(np.isfinite(values), np.maximum(values, 0.0), 0.0)
-        counted[f"{name} not whole (expanded), kept"] += int((values % 1 != 0).sum())
+        counted[f"fractional {name} (expanded), kept"] += int((values % 1 != 0).sum())
         calls[column] = values
     before = calls.groupby("trip")["time"].cummax()
     counted["times before the previous call's, set to it"] += int((calls["time"] < before).sum())

@@ -89,7 +89,7 @@ DEFECTS: dict[str, tuple[Change, dict[str, int]]] = {
     "blank": (cell("n-boardings", 0, np.nan), {"boardings blank, taken as 0": 1}),
     "infinite": (cell("n-boardings", 0, np.inf), {"boardings infinite, taken as 0": 1}),
     "negative": (cell("n-boardings", 0, -2.0), {"boardings below 0, taken as 0": 1}),
-    "fraction": (cell("n-boardings", 0, 1.49), {"boardings not whole (expanded), kept": 1}),
+    "fraction": (cell("n-boardings", 0, 1.49), {"fractional boardings (expanded), kept": 1}),
     "full": (cell("loading", 2, 295.0), {"loads above 150, not used": 1}),
     "below": (cell("loading", 2, -3.0), {"loads below 0, not used": 1}),
     "backwards": (
