@@ -133,7 +133,7 @@ def trips_of_day(tables: Mapping[str, Columns], config: BusConfig) -> Columns:
 
 
 def pattern_rows(tables: Mapping[str, Columns], config: BusConfig) -> list[int]:
-    """Return the index in the tables of each pattern of the network.
+    """Return the tables' `pattern` number of each pattern of the network, in its order.
 
     Raises HeadwayError if no trip leaves within the service day.
     """
