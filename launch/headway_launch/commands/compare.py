@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.rollout.lookahead import is_lookahead
+from headway.wording import readable_metric
 from headway_launch.commands.run import add_config_dir_argument
 from headway_launch.commands.runs import (
     OTHER_EVALUATION_SEED,
@@ -21,6 +22,7 @@ from headway_launch.commands.runs import (
     add_store_argument,
     add_where_argument,
     existing_store,
+    typed_line,
 )
 
 if TYPE_CHECKING:
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from headway.stats.samples import Interval
     from headway_launch.console.tables import Value
     from headway_launch.experiments.compose import Experiment
+    from headway_launch.report.elements import Table
     from headway_launch.runner.stored_run import StoredRun
 
 _MAX_DIFFERENCES = 3
@@ -37,6 +40,7 @@ EXAMPLES = """\
 examples:
   headway compare bus --episodes 200
   headway compare bus --episodes 200 --against always_move --metrics return,mean_wait_min,headway_cv
+  headway compare bus --format markdown            a table for a page; latex: for a paper
   headway compare bus --best
   headway compare bus --rules always_move,headway_holding_0.9 --where preset=bus_tuned
   headway compare env=bus env.args.scenario=corridor --episodes 20        rules alone, without training
@@ -48,7 +52,8 @@ are others (unless --seed is evaluation.seed). Differences are
 controller minus reference, paired by episode, with 95% intervals by Student's t: over episodes for a rule or
 a cell with one seed, over training seeds and episodes for a cell with several. The default reference is the
 rule with the highest mean return. The table rounds the numbers of a metric to two significant digits of its
-narrowest interval; csv and json have all digits. `headway list metrics ENVIRONMENT` describes the metrics.
+narrowest interval; so do markdown and latex (for the package booktabs), which have one row per controller;
+csv and json have all digits. `headway list metrics ENVIRONMENT` describes the metrics.
 """
 
 
@@ -77,7 +82,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--metrics", default="return", help="metrics to compare, comma-separated (default: return)"
     )
     parser.add_argument(
-        "--format", choices=("table", "json", "csv"), default="table", help="output format (default: table)"
+        "--format",
+        choices=("table", "json", "csv", "markdown", "latex"),
+        default="table",
+        help="output format (default: table)",
     )
     add_where_argument(parser)
     add_config_dir_argument(parser)
@@ -90,6 +98,8 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.console.tables import print_table
     from headway_launch.experiments.start_line import start_line
+    from headway_launch.report.latex_table import latex_table
+    from headway_launch.report.markdown_page import markdown_table
     from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
     from headway_launch.runner.comparison import (
         EPISODES_FOR_A_CLAIM,
@@ -162,13 +172,22 @@ def execute(arguments: argparse.Namespace) -> int:
         "interval",
     )
     mode = f", {arguments.mode}" if cells else ""
+    title = f"{subject.name}: {episodes} episodes of {found.spec.name}{mode}"
     if arguments.format == "json":
         print(json.dumps([dict(zip(columns, row, strict=True)) for row in rows], indent=1))
     elif arguments.format == "csv":
         csv.writer(sys.stdout, lineterminator="\n").writerows([columns, *rows])
-    else:
-        title = f"{subject.name}: {episodes} episodes of {found.spec.name}{mode}"
+    elif arguments.format == "table":
         print_table(columns, _rounded(rows), title=title)
+    else:
+        by_return = sorted(rules, key=lambda rule: -_mean(rules[rule], "return"))
+        words = {metric: readable_metric(metric, found.entry.metrics.get(metric, "")) for metric in metrics}
+        table = _page_table(title, rows, [*played, *(f"rule {rule}" for rule in by_return)], words, reference)
+        command = typed_line(arguments)
+        if arguments.format == "latex":
+            print(latex_table(table, command), end="")
+        else:
+            print(markdown_table(replace(table, caption=f"{table.caption} Written by `{command}`.")))
     for label, members in cells.items():
         folders = [run.directory for run in members]
         return_metric = f"evaluation_{arguments.mode}/return"
@@ -306,15 +325,67 @@ def _row(
 
 
 def _rounded(rows: "Sequence[tuple[Value, ...]]") -> "list[tuple[Value, ...]]":
-    """Return the rows with numbers rounded to two significant digits of the metric's narrowest interval."""
+    """Return the rows with numbers rounded to `_decimals`."""
+    decimals = _decimals(rows)
+    return [
+        tuple(
+            round(value, decimals[row[0]]) if isinstance(value, float) and row[0] in decimals else value
+            for value in row
+        )
+        for row in rows
+    ]
+
+
+def _decimals(rows: "Sequence[tuple[Value, ...]]") -> "dict[Value, int]":
+    """Return the decimals of each metric that show two significant digits of its narrowest interval."""
     widths: dict[Value, float] = {}
     for metric, *_, low, high, _ in rows:
         if isinstance(low, float) and isinstance(high, float) and high > low:
             widths[metric] = min(widths.get(metric, math.inf), high - low)
+    return {metric: 1 - math.floor(math.log10(width)) for metric, width in widths.items()}
 
-    def rounded(metric: "Value", value: "Value") -> "Value":
-        if not isinstance(value, float) or metric not in widths:
-            return value
-        return round(value, 1 - math.floor(math.log10(widths[metric])))
 
-    return [tuple(rounded(row[0], value) for value in row) for row in rows]
+def _page_table(
+    title: str,
+    rows: "Sequence[tuple[Value, ...]]",
+    controllers: Sequence[str],
+    metrics: Mapping[str, str],
+    reference: str,
+) -> "Table":
+    """Return the rows as a table for a page or a paper: one row per controller, two columns per metric.
+
+    `metrics`: their names in words.
+    """
+    import pandas as pd
+
+    from headway_launch.report.elements import MISSING, Table, formatted
+
+    decimals = _decimals(rows)
+
+    def number(metric: str, value: "Value", sign: str = "") -> str:
+        if not isinstance(value, float) or metric not in decimals:
+            return formatted(value) if isinstance(value, float) else MISSING
+        return f"{round(value, decimals[metric]):{sign},.{max(decimals[metric], 0)}f}"
+
+    cells = {(row[0], row[1]): row[2:] for row in rows}
+    shown: list[list[str]] = []
+    for controller in controllers:
+        seeds = cells[next(iter(metrics)), controller][0]
+        shown.append([controller, MISSING if seeds is None else str(seeds)])
+        for metric in metrics:
+            _, mean, estimate, low, high, _ = cells[metric, controller]
+            shown[-1].append(number(metric, mean))
+            interval = f" [{number(metric, low)}, {number(metric, high)}]" if low is not None else ""
+            shown[-1].append(number(metric, estimate, "+") + interval)
+    headings = [word for name in metrics.values() for word in (name, f"minus {reference} [95%]")]
+    learners = sum(not name.startswith("rule ") for name in controllers)
+    return Table(
+        "comparison",
+        f"{title}. Differences from the rule `{reference}` are paired by episode, with 95% intervals by "
+        "Student's t: over training seeds and episodes for several seeds, over episodes for one seed or a "
+        "rule.",
+        ["controller", "seeds", *headings],
+        shown,
+        pd.DataFrame(rows),
+        emphasised=frozenset(range(learners, len(controllers))),
+    )

@@ -1,6 +1,7 @@
-"""`headway convert`: write a study's logs as CSV files or for TensorBoard or Weights & Biases."""
+"""`headway convert`: write a study's logs as CSV files or for TensorBoard, Weights & Biases or marl-eval."""
 
 import argparse
+import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from headway.contracts.errors import HeadwayError
+from headway.wording import counted
 from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
 from headway_launch.console.output_files import write_error
 from headway_launch.console.progress_display import CountedProgress
@@ -27,11 +29,15 @@ examples:
   headway convert bus --to csv
   headway convert bus --to tensorboard && tensorboard --logdir tensorboard-bus
   headway convert bus --to wandb && wandb sync wandb-bus/wandb/offline-run-*
+  headway convert bus --to marl-eval
   headway convert bus --to csv --where 'algorithm="mappo"' --output lab/mappo
 
 Reads the logs of the newest finished run of each cell and seed; nothing is sent anywhere. csv: one file per
 table, columns.csv with meanings and units, and each run's configuration; tensorboard: a folder of event files
 per run; wandb: an offline run per run, in the project STUDY. In both, the steps are environment steps.
+marl-eval: metrics.json with the evaluation episodes, as that package reads it: metrics that all runs have,
+with spaces in place of underscores, which it would take apart; absolute_metrics are the episodes of the last
+evaluation.
 """
 _MEANINGS = {
     "run_id": "name of the run",
@@ -172,10 +178,67 @@ def _write_wandb(runs: "RunSelection", folder: Path) -> None:
     wandb.teardown()  # its service may write the end of the files after the runs have finished
 
 
+def _write_marl_eval(runs: "RunSelection", folder: Path) -> None:
+    """Write environment -> task -> algorithm -> seed -> evaluation -> metric -> values of the episodes.
+
+    Raises HeadwayError for algorithms of an environment with different tasks, seeds or numbers of
+    evaluations, which marl-eval cannot read.
+    """
+    from headway.events import LABELS
+    from headway.store.query import LABELS as RUN_LABELS
+    from headway_launch.studies.runs import common_mode, configuration
+
+    played = runs.evaluations(mode=common_mode(runs)).sort_values(["env_steps", "episode_seed"])
+    metrics = [name for name in played if name not in {*RUN_LABELS, *LABELS} and played[name].notna().all()]
+
+    def values(rows: "pd.DataFrame") -> dict[str, list[float]]:
+        return {str(name).replace("_", " ").lower(): rows[name].astype(float).tolist() for name in metrics}
+
+    tree: dict[str, dict[str, dict[str, dict[str, Any]]]] = {}
+    for row in runs.rows:
+        name, of_run = runs.names[row.cell], played[played["run_id"] == row.run_id]
+        # The last evaluation begins with the episodes of the others.
+        episodes = int(configuration(row.directory)["evaluation"]["episodes"])
+        of_curve = of_run[of_run["episode_seed"] < episodes]
+        steps = {
+            f"step_{place}": {"step_count": int(str(step)), **values(rows)}
+            for place, (step, rows) in enumerate(of_curve.groupby("env_steps"))
+        }
+        of_task = tree.setdefault(row.environment.lower(), {}).setdefault(name.task.lower(), {})
+        seeds = of_task.setdefault(name.controller, {})
+        seeds[f"seed_{row.seed}"] = {**steps, "absolute_metrics": values(of_run[of_run["final"] == 1])}
+    for tasks in tree.values():
+        _require_alike(tasks)
+    (folder / "metrics.json").write_text(json.dumps(tree), encoding="utf-8")
+
+
+def _require_alike(tasks: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> None:
+    """Raise HeadwayError unless all tasks have the same algorithms with equal seeds and numbers of points."""
+    names = sorted({name for algorithms in tasks.values() for name in algorithms})
+    points = {
+        f"{name} on {task}": {seed: len(whole) - 1 for seed, whole in algorithms.get(name, {}).items()}
+        for task, algorithms in tasks.items()
+        for name in names
+    }
+    (first, expected), *others = points.items()
+    for cell, found in others:
+        if sorted(found.items()) != sorted(expected.items()):
+            raise HeadwayError(
+                "--to marl-eval: it needs equal seeds and numbers of evaluations everywhere, but there are "
+                f"{_listed(expected)} of {first} and {_listed(found)} of {cell}; choose runs with --where"
+            )
+
+
+def _listed(points: Mapping[str, int]) -> str:
+    shown = [f"{seed} ({counted(number, 'evaluation')})" for seed, number in sorted(points.items())]
+    return ", ".join(shown) or "none"
+
+
 _WRITERS: Mapping[str, Callable[["RunSelection", Path], None]] = {
     "csv": _write_csv,
     "tensorboard": _write_tensorboard,
     "wandb": _write_wandb,
+    "marl-eval": _write_marl_eval,
 }
 """(runs, new folder) -> None, by the value of --to."""
 

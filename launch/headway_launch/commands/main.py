@@ -231,7 +231,7 @@ def _dispatch(words: Sequence[str], debug: bool, typed: bool) -> int:
 
         for first, last in replaced_words(overrides):
             print_line(f"headway: {last} replaces {first}")
-    parsed.command, parsed.debug = name, debug
+    parsed.command, parsed.debug, parsed.typed = name, debug, rest
     code: int
     if (folder := getattr(parsed, "config_dir", None)) is None:
         code = module.execute(parsed)

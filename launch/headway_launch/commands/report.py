@@ -1,26 +1,33 @@
-"""`headway report`: write a study's report as one page, with its tables and plots as files."""
+"""`headway report`: write a study's report as a page of HTML or Markdown, or its parts for a paper."""
 
 import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.commands.runs import add_store_argument, existing_store, typed_line
+from headway_launch.report.report_files import FORMATS, write_report
 
 EXAMPLES = """\
 examples:
   headway report bus                                          writes report-bus/report.html
   headway report bus --output supplement
+  headway report bus --format markdown --output docs/bus      a page for a site, docs/bus/report.md
+  headway report bus --format latex --output paper            tables and pictures for a paper
   headway report bus --metric evaluation_sampled/return
   headway report bus --metric evaluation_greedy/mean_wait_min --lower-is-better
 
-Writes one self-contained page, report.html, and beside it tables/ (Markdown, and CSV with all digits),
-pictures/ (PNG), configs/ and commands.txt. Only reads the store; nothing is trained or evaluated.
+html: one self-contained page, report.html, and beside it tables/ (CSV with all digits), pictures/ (PNG),
+configs/ and commands.txt. markdown: the same page as report.md, for GitHub and for Sphinx with MyST; it shows
+pictures/ (SVG) and links configs/, commands.txt and the table of runs. latex: tables/ (tabular, for the
+package booktabs) and pictures/ (PDF). csv: tables/ alone. Existing files of those names are replaced. Only
+reads the store; nothing is trained or evaluated.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the study, the metric and the folder."""
+    """Add the study, the format, the folder and the metric."""
     parser.add_argument("study", metavar="STUDY", help="name of the study, as in `headway runs`")
+    parser.add_argument("--format", choices=FORMATS, default="html", help="what to write (default: html)")
     parser.add_argument("--output", metavar="DIR", help="folder to write (default: report-STUDY)")
     parser.add_argument(
         "--metric", help="evaluation metric of final rewards (default: evaluation_greedy/return)"
@@ -35,15 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Write the report and print its path."""
+    """Write the report and print the path of its page, or of its folder if it has none."""
     root = existing_store(arguments.store)
     folder = Path(arguments.output or f"report-{arguments.study}")
     if folder.exists() and not folder.is_dir():
         raise HeadwayError(f"--output: {folder} is a file; name a folder")
-    from headway_launch.report.page import write_report
     from headway_launch.report.study_data import StudyData
     from headway_launch.report.study_report import report_of
 
     data = StudyData(root, arguments.study, arguments.metric, arguments.lower_is_better, arguments.low)
-    print(write_report(report_of(data), folder))
+    print(write_report(report_of(data, typed_line(arguments)), folder, FORMATS[arguments.format]))
     return 0

@@ -1,6 +1,7 @@
 """`headway runs`: list the runs in the store."""
 
 import argparse
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -83,6 +84,8 @@ _HEADINGS = {
     "run_id": "run",
 }
 """Column headings that differ from the field's name, as in the results table that ends a run."""
+_FOLDERS = ("--store", "--output", "--config-dir")
+"""Options that name folders; argparse takes their beginnings too."""
 OTHER_EVALUATION_SEED = 2_000_003
 """Root of the seeds of episodes that decide nothing during training."""
 
@@ -175,6 +178,20 @@ def existing_store(folder: str) -> Path:
             f"there is no store in {folder!r}; `headway run` creates one, --store selects another"
         )
     return Path(folder)
+
+
+def typed_line(arguments: argparse.Namespace) -> str:
+    """Return the command line as typed, without the options that name folders of this machine."""
+    kept: list[str] = []
+    words = iter(arguments.typed)
+    for word in words:
+        option, equals, _ = word.partition("=")
+        if option.startswith("--") and any(name.startswith(option) for name in _FOLDERS):
+            if not equals:
+                next(words, None)
+        else:
+            kept.append(word)
+    return shlex.join(["headway", *arguments.command.split(), *kept])
 
 
 def _require_known(option: str, value: str | None, known: set[str]) -> None:

@@ -2,7 +2,7 @@
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
 
@@ -21,9 +21,24 @@ def write_figure(figure: "Figure", output: Path) -> None:
             f"{output.name or 'picture'}.png or .svg"
         )
     try:
-        figure.savefig(output)
+        save_figure(figure, output, output.suffix[1:])
     except (OSError, ValueError) as error:
         raise write_error("--output", output, error) from error
+
+
+def save_figure(
+    figure: "Figure", target: Path | IO[bytes], kind: str, dots_per_inch: float | None = None
+) -> None:
+    """Save a figure as `kind`, such as `png`, `svg` or `pdf`; equal figures give equal SVG and PDF files.
+
+    PDF and EPS embed their fonts as TrueType, as publishers ask; SVG draws text as paths and needs no font.
+    Raises ValueError for an unknown kind.
+    """
+    import matplotlib as mpl
+
+    without_date = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind.lower())
+    with mpl.rc_context({"svg.hashsalt": "headway", "pdf.fonttype": 42, "ps.fonttype": 42}):
+        figure.savefig(target, format=kind, metadata=without_date, dpi=dots_per_inch or "figure")
 
 
 def require_writable(option: str, path: Path, folder: Path) -> None:

@@ -1,4 +1,7 @@
-"""Parts of a report: sections of paragraphs, tables, pictures and listings; formatting of numbers."""
+"""A report and its parts: sections of paragraphs, tables, pictures and listings; formatting of numbers.
+
+The modules `html_page`, `markdown_page` and `latex_table` render them.
+"""
 
 import math
 from collections.abc import Sequence
@@ -29,6 +32,12 @@ class Table:
     """Columns of text; the others hold numbers."""
     emphasised: frozenset[int] = frozenset()
     """Rows of classical rules, set apart from learners."""
+    per_run: bool = False
+    """Has a row per run: a page of Markdown links its CSV instead of showing it."""
+
+    def file(self, suffix: str) -> str:
+        """Return the path of its file in the report's folder."""
+        return f"tables/{self.name}.{suffix}"
 
 
 @dataclass(frozen=True)
@@ -40,6 +49,10 @@ class Picture:
     caption: str
     figure: "Figure"
 
+    def file(self, suffix: str) -> str:
+        """Return the path of its file in the report's folder."""
+        return f"pictures/{self.name}.{suffix}"
+
 
 @dataclass(frozen=True)
 class Listing:
@@ -48,7 +61,7 @@ class Listing:
     title: str
     text: str
     file: str = ""
-    """File that the text is also written to; empty: none."""
+    """Path in the report's folder of a file with the text; empty: none."""
     unfolded: bool = False
 
 
@@ -63,6 +76,25 @@ class Section:
     anchor: str
     title: str
     body: list[Part] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Report:
+    """Contents of a report."""
+
+    title: str
+    subtitle: str
+    summary: Sequence[str]
+    """Sentences of the summary at the top."""
+    sections: Sequence[Section]
+    command: str
+    """Command that makes the report."""
+    footer: str
+
+
+def text_and_code(text: str) -> list[tuple[str, bool]]:
+    """Split a paragraph into its pieces; the flag is True for code."""
+    return [(piece, place % 2 == 1) for place, piece in enumerate(text.split("`"))]
 
 
 def formatted(value: float | None) -> str:

@@ -54,6 +54,7 @@ def runs_section(data: StudyData) -> Section:
             rows,
             exact.reset_index(),
             words=frozenset({0, 1}),
+            per_run=True,
         )
     )
     body.append(Listing("The command line of each run", "\n".join(lines), "commands.txt"))
@@ -77,7 +78,7 @@ def provenance_section(data: StudyData) -> Section:
         "from this version's defaults, except keys that do not affect results: where runs are stored "
         "(`store`) and how they are distributed over processes (`backend`, apart from `backend.stack`). "
         "`evaluation.rules` appears only if some rules of the environment were not run. The full "
-        "configuration, with every default spelt out, is folded below it. On a CPU, the same "
+        "configuration without `store`, with every default spelt out, comes after it. On a CPU, the same "
         "configuration and seed reproduce the curve bit for bit with the versions listed here"
         + _determinism_exception(data)
     ]
@@ -86,7 +87,8 @@ def provenance_section(data: StudyData) -> Section:
         seeds = ",".join(str(seed) for seed in sorted({row.seed for row in members}))
         title = controller if len(data.tasks) == 1 else f"{controller}, {task}"
         body.append(Listing(f"{title}: command line", _line_of(first, seeds), unfolded=True))
-        whole = {**first, "seed": [row.seed for row in members]}
+        whole = {key: value for key, value in first.items() if key != "store"}
+        whole["seed"] = [row.seed for row in members]
         text = yaml.safe_dump(whole, sort_keys=False)
         body.append(Listing(f"{title}: configuration", text, f"configs/{members[0].cell}.yaml"))
     made = data.runs.provenance()

@@ -21,6 +21,7 @@ from headway.wording import counted, readable_metric
 from headway_launch.experiments.parameters import flat
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference, gap_lines
 from headway_launch.studies.runs import (
+    common_mode,
     configuration,
     curve_points,
     curves_of,
@@ -70,7 +71,7 @@ class StudyData:
         self.all_runs = RunSelection(root, tuple(study_runs(root, study)))
         included, self.excluded = included_runs(self.all_runs.rows, study)
         self.runs = RunSelection(root, tuple(included), beside=self.all_runs.rows)
-        self.metric = metric or self._default_metric()
+        self.metric = metric or f"evaluation_{common_mode(self.runs)}/return"
         group, _, self.column = self.metric.rpartition("/")
         if not group.startswith("evaluation_"):
             raise HeadwayError(
@@ -367,17 +368,6 @@ class StudyData:
         for name in wanted:
             found[name] = pd.to_numeric(found[name]) if name in found else float("nan")
         return found
-
-    def _default_metric(self) -> str:
-        """Return the greedy evaluation's return, or the sampled one's if only that is common to all runs."""
-        evaluated = [configuration(row.directory)["evaluation"]["modes"] for row in self.runs.rows]
-        for mode in ("greedy", "sampled"):
-            if all(mode in modes for modes in evaluated):
-                return f"evaluation_{mode}/return"
-        raise HeadwayError(
-            f"the runs of {self.study} have no evaluation mode in common: some were evaluated only greedily, "
-            "others only sampled; train them with a common mode, such as evaluation.modes=[greedy]"
-        )
 
 
 def _stage_ends(config: Mapping[str, Any]) -> tuple[int, ...]:

@@ -1,13 +1,10 @@
 """The complete report of a study: its sections, and the summary at its top."""
 
-from datetime import UTC, datetime
-from importlib.metadata import version
-
+from headway.store.provenance import provenance
 from headway.wording import counted
 from headway_launch.report.costs import energy_section, tradeoff_section
-from headway_launch.report.elements import Section, formatted, scale_of, with_interval
+from headway_launch.report.elements import Report, Section, formatted, scale_of, with_interval
 from headway_launch.report.learning import across_environments, curves_section, episode_metrics_section
-from headway_launch.report.page import Report
 from headway_launch.report.provenance_section import provenance_section, runs_section
 from headway_launch.report.published import published_sections
 from headway_launch.report.reward_tables import (
@@ -15,13 +12,15 @@ from headway_launch.report.reward_tables import (
     improvement_section,
     interquartile_section,
 )
+from headway_launch.report.setup_section import setup_section
 from headway_launch.report.study_data import StudyData
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 
-def report_of(data: StudyData) -> Report:
-    """Return the report of a study."""
+def report_of(data: StudyData, command: str) -> Report:
+    """Return the report of a study, which `command` makes."""
     sections = [
+        setup_section(data),
         final_reward_section(data),
         *published_sections(data),
         interquartile_section(data),
@@ -35,7 +34,6 @@ def report_of(data: StudyData) -> Report:
         provenance_section(data),
         _definitions(),
     ]
-    moment = datetime.now(UTC).strftime("%d %B %Y, %H:%M UTC")
     return Report(
         title=f"Study {data.study}",
         subtitle=f"{', '.join(data.tasks)}: {counted(len(data.runs.rows), 'finished run')} of "
@@ -43,8 +41,19 @@ def report_of(data: StudyData) -> Report:
         f"{counted(data.rules['rule'].nunique(), 'classical rule')}",
         summary=_summary(data),
         sections=[section for section in sections if section is not None],
-        footer=f"Written by headway {version('headway')} on {moment} from the store's files alone.",
+        command=command,
+        footer=f"Written by `{command}` from the store's files alone, with {_writer()}.",
     )
+
+
+def _writer() -> str:
+    """Describe the version and the machine that write the report."""
+    tags = provenance()
+    commit = ""
+    if revision := tags.get("git.revision"):
+        changed = " with uncommitted changes" if tags.get("git.dirty") == "true" else ""
+        commit = f" at commit {revision[:12]}{changed}"
+    return f"headway {tags['version.headway']}{commit} on {tags['hardware.cpu']}, {tags['hardware.system']}"
 
 
 def _summary(data: StudyData) -> list[str]:

@@ -104,6 +104,21 @@ def curve_points(runs: "RunSelection", metric: str) -> "pd.DataFrame":
     return ordered.reindex(columns=[*kept, metric]).rename(columns={metric: "value"})
 
 
+def common_mode(runs: "RunSelection") -> str:
+    """Return `greedy` if all runs were evaluated so, else `sampled`.
+
+    Raises HeadwayError if the runs have no mode in common.
+    """
+    evaluated = [configuration(row.directory)["evaluation"]["modes"] for row in runs.rows]
+    for mode in ("greedy", "sampled"):
+        if all(mode in modes for modes in evaluated):
+            return mode
+    raise HeadwayError(
+        f"the runs of {runs.rows[0].study} have no evaluation mode in common: some were evaluated only "
+        "greedily, others only sampled; train them with a common mode, such as evaluation.modes=[greedy]"
+    )
+
+
 def metric_descriptions(runs: "RunSelection") -> dict[str, str]:
     """Return the description of each episode metric of the runs' environments."""
     from headway.registry import env_entries

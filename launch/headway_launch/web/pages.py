@@ -90,7 +90,7 @@ class Pages:
         return page.render(store=str(self._root), studies=studies, error=error, nonce=nonce)
 
     def _report(self, study: str) -> str:
-        from headway_launch.report.page import html
+        from headway_launch.report.html_page import html
         from headway_launch.report.study_data import StudyData
         from headway_launch.report.study_report import report_of
 
@@ -100,7 +100,7 @@ class Pages:
             rules = sorted(file.stat().st_mtime_ns for file in files if file.exists())
             made_from, text = self._reports.get(study, ((), ""))
             if not rows or (rows, rules) != made_from:
-                text = html(report_of(StudyData(self._root, study)))
+                text = html(report_of(StudyData(self._root, study), "headway browse"))
                 self._reports[study] = (rows, rules), text
             return text
 

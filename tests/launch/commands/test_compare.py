@@ -3,6 +3,8 @@
 import csv
 import json
 import math
+import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -54,6 +56,29 @@ def test_the_table_has_two_digits_of_the_interval_and_json_all(capsys: pytest.Ca
                 value = exact[row["controller"]][name]
                 assert float(row[name]) == pytest.approx(value, abs=0.5001 * unit)
                 assert float(row[name]) / unit == pytest.approx(round(float(row[name]) / unit))
+
+
+@pytest.mark.parametrize("form", ["markdown", "latex"])
+def test_a_table_for_a_page_has_a_row_per_controller(form: str, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["compare", *GAME, "--episodes", "4", "--metrics", "return,distance"]
+    assert run([*asked, "--format", "json"]) == 0
+    exact = {(row["metric"], row["controller"]): row for row in json.loads(capsys.readouterr().out)}
+    assert run([*asked, "--format", form, "--store", "elsewhere"]) == 0
+    shown = capsys.readouterr().out
+    assert f"{shlex.join(['headway', *asked])} --format {form}" in " ".join(shown.split())
+    assert "elsewhere" not in shown
+    ends = {"markdown": ("|", " |"), "latex": ("&", r" \\")}[form]
+    lines = [line for line in shown.splitlines() if line.endswith(ends[1])]
+    cells = [[cell.strip() for cell in line.strip("|\\ ").split(ends[0])] for line in lines]
+    rows = {row[0]: row[1:] for row in cells if row[0].startswith("rule")}
+    assert list(rows) == ["rule optimal", "rule random"]
+    assert [row[2] for row in rows.values()].count("\N{EN DASH}" if form == "markdown" else "--") == 1
+    for place, metric in ((1, "return"), (3, "distance")):
+        found = exact[metric, "rule random"]
+        unit = 10.0 ** (math.floor(math.log10(found["95% high"] - found["95% low"])) - 1)
+        numbers = re.findall(r"[-+]?[\d.]+", " ".join(rows["rule random"][place:][:2]).replace("$-$", "-"))
+        wanted = [found[name] for name in ("mean", "minus optimal", "95% low", "95% high")]
+        assert [float(number) for number in numbers] == pytest.approx(wanted, abs=0.5001 * unit)
 
 
 @pytest.mark.parametrize(

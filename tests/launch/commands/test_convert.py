@@ -1,5 +1,6 @@
 """`headway convert`: a study's logs in other forms, held to the log itself."""
 
+import json
 import math
 import sys
 from pathlib import Path
@@ -114,6 +115,66 @@ def test_a_missing_package_is_named(to: str, refused: Refused, monkeypatch: pyte
     needed = f'the package {to}; install it with pip install "headway[{to}]"\n'
     assert refused("convert", "lines", "--to", to) == f"headway: --to {to} needs {needed}"
     assert not Path(f"{to}-lines").exists()
+
+
+def _keep_evaluated(algo: str, seed: int, points: tuple[int, ...] = (0, 64)) -> None:
+    """Keep a run with two episodes per evaluation and two more in the last; episode i of a point returns
+    its steps + the seed + i / 10."""
+    run_id, folder = create_run_folder(Path("runs"), "marl", algo, seed)
+    RunRecord(run_id, "marl", "Bus", algo, seed, 2, STARTED, Process.current(), "FINISHED").write(folder)
+    write_text(folder / "config.yaml", "evaluation: {episodes: 2, modes: [greedy, sampled]}")
+    log = RunLog(folder)
+    for iteration, steps in enumerate(points):
+        final = steps == points[-1]
+        label = {"iteration": iteration, "env_steps": steps, "mode": "greedy", "final": int(final)}
+        days = range(4 if final else 2)
+        played = [
+            {**label, "episode_seed": day, "return": steps + seed + day / 10, "mean_wait_min": 7}
+            for day in days
+        ]
+        log.append("evaluation", [*played, {**played[0], "mode": "sampled", "return": -1.0}])
+    log.commit(len(points))
+
+
+def test_marl_eval_has_the_tree_that_the_package_documents() -> None:
+    """environment, task, algorithm, run, step, metric: one value per episode; and lower-case names, which it
+    looks up."""
+    for algo in ("ippo", "mappo"):
+        for seed in (3, 4):
+            _keep_evaluated(algo, seed)
+    assert run(["convert", "marl", "--to", "marl-eval"]) == 0
+    tree = json.loads(Path("marl-eval-marl", "metrics.json").read_text())
+    wait = "mean wait min"
+    expected = {
+        f"seed_{seed}": {
+            "step_0": {"step_count": 0, "return": [seed, seed + 0.1], wait: [7, 7]},
+            "step_1": {"step_count": 64, "return": [64 + seed, 64 + seed + 0.1], wait: [7, 7]},
+            "absolute_metrics": {"return": [64 + seed + day / 10 for day in range(4)], wait: [7] * 4},
+        }
+        for seed in (3, 4)
+    }
+    assert tree == {"bus": {"bus": {"ippo": expected, "mappo": expected}}}
+    for whole in tree["bus"]["bus"]["ippo"].values():
+        assert list(whole)[-1] == "absolute_metrics"  # which it takes by its place
+
+
+@pytest.mark.parametrize(
+    ("others", "line"),
+    [
+        ([("mappo", 3, (0, 64))], "mappo on bus; choose runs with --where"),
+        (
+            [("mappo", 3, (0, 64)), ("mappo", 4, (0, 32, 64))],
+            "seed_3 (2 evaluations), seed_4 (3 evaluations)",
+        ),
+    ],
+)
+def test_marl_eval_needs_equal_numbers(
+    others: list[tuple[str, int, tuple[int, ...]]], line: str, refused: Refused
+) -> None:
+    for algo, seed, points in [("ippo", 3, (0, 64)), ("ippo", 4, (0, 64)), *others]:
+        _keep_evaluated(algo, seed, points)
+    assert line in refused("convert", "marl", "--to", "marl-eval")
+    assert not Path("marl-eval-marl").exists()
 
 
 def test_nothing_is_overwritten_and_a_failure_leaves_no_files(refused: Refused) -> None:

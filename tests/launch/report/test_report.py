@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from shutil import copytree
 from typing import Any
@@ -21,9 +21,9 @@ from headway.contracts.errors import HeadwayError
 from headway.stats.intervals import paired_difference_over_seeds
 from headway_launch.commands.main import run as run_command
 from headway_launch.report.costs import tradeoff_section
-from headway_launch.report.elements import Listing, Picture, Section, Table
+from headway_launch.report.elements import Listing, Picture, Report, Section, Table
+from headway_launch.report.html_page import html
 from headway_launch.report.learning import curves_section
-from headway_launch.report.page import Report, html, write_report
 from headway_launch.report.reward_tables import final_reward_section
 from headway_launch.report.study_data import StudyData
 from headway_launch.report.study_report import report_of
@@ -40,12 +40,12 @@ RULES = {"random": -20.0, "optimal": 10.0}
 
 
 def made(root: Path, study: str = "study", metric: str | None = None, lower: bool = False) -> Report:
-    return report_of(StudyData(root, study, metric, lower))
+    return report_of(StudyData(root, study, metric, lower), "headway report")
 
 
 def rewards(root: Path) -> Report:
     """Return the first section alone, which takes a fraction of the time."""
-    return Report("", "", [], [section_of(root, final_reward_section)], "")
+    return Report("", "", [], [section_of(root, final_reward_section)], "", "")
 
 
 def text_of(report: Report) -> str:
@@ -169,7 +169,7 @@ def test_captions_name_a_cell_that_diverged(two: Two, keep_run: Keep, root: Path
     copytree(two.root, root)
     for seed in range(2):
         keep_run((*TRACKING, "algo=ddpg"), seed, -98_439.0 - seed)
-    report = report_of(StudyData(root, "study", low=-30.0))
+    report = report_of(StudyData(root, "study", low=-30.0), "headway report")
     assert "Outside the axis: ddpg (-98,440)." in text_of(report)
     pictures = axes_of(report)
     assert pictures["profiles"].get_xlim()[0] > -10
@@ -264,9 +264,7 @@ def test_every_part_is_a_file_and_the_page_is_self_contained(keep_run: Keep, roo
     assert page.count('<img src="data:image/svg+xml;base64,') == len(pictures)
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     assert len(list((folder / "configs").iterdir())) == 2
-    for markdown in (folder / "tables").glob("*.md"):
-        header, *rows = [line for line in markdown.read_text().splitlines() if line.startswith("|")]
-        assert {line.count("|") for line in rows} == {header.count("|")}
+    assert {path.suffix for path in (folder / "tables").iterdir()} == {".csv"}
     figures = list(csv.DictReader(io.StringIO((folder / "tables" / "episode_metrics.csv").read_text())))
     assert figures[-1]["ippo"] == "-0.5"
 
@@ -548,7 +546,7 @@ def test_metrics_have_their_units_and_rules_one_order_in_tables_and_pictures(
 def test_names_and_text_cannot_break_the_page() -> None:
     frame = pd.DataFrame({"a": [1]})
     parts = [Table("t", "<x1>", ["a_<x2>"], [["<x3>"]], frame), "<x4> and `<x5>`", Listing("<x6>", "<x7>")]
-    page = html(Report("<x8>", "<x9>", ["<x10>"], [Section("s", "<x11>", list(parts))], "<x12>"))
+    page = html(Report("<x8>", "<x9>", ["<x10>"], [Section("s", "<x11>", list(parts))], "", "<x12>"))
     assert "<x" not in page
     assert {int(number) for number in re.findall(r"&lt;x(\d+)&gt;", page)} == set(range(1, 13))
     assert "<code>&lt;x5&gt;</code>" in page
@@ -562,6 +560,8 @@ def test_names_and_text_cannot_break_the_page() -> None:
         (("study", "--metric", "training/return"), "'training/return' is not an evaluation metric"),
         (("study", "--metric", "evaluation_greedy/retrun"), "did you mean evaluation_greedy/return?"),
         (("study", "--output", "FILE/report"), "--output: "),
+        (("study", "--output", "FILE"), "--output: FILE is a file; name a folder"),
+        (("study", "--format", "markdwon"), "invalid choice: 'markdwon'"),
     ],
 )
 def test_bad_input_is_one_line(
@@ -593,17 +593,3 @@ def test_error_on_different_evaluation_modes_says_how_to_train(keep_run: Keep, r
     line = r"no evaluation mode in common: .* train .* evaluation.modes=\[greedy\]$"
     with pytest.raises(HeadwayError, match=line):
         StudyData(root, "study")
-
-
-def test_files_of_an_earlier_report_are_listed(
-    two: Two, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    runs = [section for section in two.report.sections if section.title == "Runs"]
-    report = replace(two.report, sections=runs)
-    write_report(report, tmp_path / "report")
-    assert "earlier report" not in capsys.readouterr().err
-    (tmp_path / "report" / "tables" / "scaling.md").write_text("of before")
-    write_report(report, tmp_path / "report")
-    assert "files of an earlier report kept in" in (told := capsys.readouterr().err)
-    assert "tables/scaling.md" in told
-    assert told.count("\n") == 1

@@ -1,0 +1,103 @@
+"""The files of a report, by format: a page, its tables and pictures, or what a paper needs."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from headway_launch.console.output import print_line
+from headway_launch.console.output_files import save_figure, write_error
+from headway_launch.report.elements import Listing, Part, Picture, Report, Table
+from headway_launch.report.html_page import html
+from headway_launch.report.latex_table import latex_table
+from headway_launch.report.markdown_page import PICTURES, markdown
+
+_PARTS = ("tables", "pictures", "configs")
+_DOTS_PER_INCH = 200
+
+
+@dataclass(frozen=True)
+class ReportFormat:
+    """What a report is written as. An empty suffix: no such files."""
+
+    page: str = ""
+    """Name of the page; empty: there is none, nor are there listings."""
+    render: Callable[[Report], str] = html
+    tables: str = ""
+    pictures: str = ""
+    note: str = ""
+    """End of the page's footer."""
+
+
+FORMATS: Mapping[str, ReportFormat] = {
+    "html": ReportFormat(
+        "report.html",
+        html,
+        "csv",
+        "png",
+        " Beside this page are its tables as CSV (with all digits) and its pictures as PNG.",
+    ),
+    "markdown": ReportFormat("report.md", markdown, pictures=PICTURES),
+    "latex": ReportFormat(tables="tex", pictures="pdf"),
+    "csv": ReportFormat(tables="csv"),
+}
+"""Formats by the value of --format."""
+
+
+def write_report(report: Report, folder: Path, chosen: ReportFormat) -> Path:
+    """Write the page and its parts into `folder`, created if needed; return the path of the page, or the
+    folder if there is none.
+
+    Files of an earlier report that this one does not write are kept and listed. Raises HeadwayError if the
+    folder cannot be written.
+    """
+    written: set[Path] = set()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for part in (part for section in report.sections for part in section.body):
+            if name := _file_of(part, chosen):
+                _write_part(part, report.command, folder / name)
+                written.add(folder / name)
+        page = folder / chosen.page
+        if chosen.page:
+            text = chosen.render(replace(report, footer=report.footer + chosen.note))
+            page.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise write_error("--output", folder, error) from error
+    suffixes = {path.suffix for path in written}
+    others = sorted(
+        str(path.relative_to(folder))
+        for name in _PARTS
+        for path in (folder / name).glob("*")
+        if path not in written and path.suffix in suffixes
+    )
+    if others:
+        print_line(f"files of an earlier report kept in {folder}: {', '.join(others)}")
+    return page
+
+
+def _file_of(part: Part, chosen: ReportFormat) -> str:
+    """Return the path of a part's file in the report's folder, or an empty string if it gets none."""
+    match part:
+        case Table(per_run=True) if chosen.page:
+            return part.file("csv")
+        case Table() if chosen.tables:
+            return part.file(chosen.tables)
+        case Picture() if chosen.pictures:
+            return part.file(chosen.pictures)
+        case Listing(file=file) if chosen.page:
+            return file
+        case _:
+            return ""
+
+
+def _write_part(part: Part, command: str, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    match part:
+        case Table(data=data) if path.suffix == ".csv":
+            data.to_csv(path, index=False)
+        case Table():
+            path.write_text(latex_table(part, command), encoding="utf-8")
+        case Picture(figure=figure):
+            save_figure(figure, path, path.suffix[1:], _DOTS_PER_INCH)
+        case Listing(text=text):
+            path.write_text(text if text.endswith("\n") else text + "\n", encoding="utf-8")

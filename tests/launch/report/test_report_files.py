@@ -1,0 +1,111 @@
+"""The files of a report, by format."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from markdown_it import MarkdownIt
+
+from headway_launch.commands.main import run as run_command
+from headway_launch.report.elements import Report
+from headway_launch.report.report_files import FORMATS, write_report
+from headway_launch.report.study_data import StudyData
+from headway_launch.report.study_report import report_of
+
+Keep = Callable[..., Path]
+RULES = {"random": -20.0, "optimal": 10.0}
+
+
+@pytest.fixture(scope="module")
+def root(keep_run_in: Callable[[Path], Keep], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with a study of two algorithms with three seeds each; the tests leave it as it is."""
+    store = tmp_path_factory.mktemp("files") / "store"
+    keep_run = keep_run_in(store)
+    for seed in range(3):
+        for algorithm in ("ippo", "ia2c"):
+            keep_run(("experiment=toy_tracking", f"algo={algorithm}"), seed, 5.0 + seed, rules=RULES)
+    return store
+
+
+@pytest.fixture(scope="module")
+def report(root: Path) -> Report:
+    return report_of(StudyData(root, "study"), "headway report study")
+
+
+def files_in(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_markdown_page_links_every_file_beside_it_and_no_other(root: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "page"
+    words = ["study", "--store", str(root), f"--output={folder}", "--format", "markdown"]
+    assert run_command(["report", *words]) == 0
+    text = (folder / "report.md").read_text()
+    children = [
+        child
+        for token in MarkdownIt("commonmark").enable("table").parse(text)
+        for child in token.children or ()
+    ]
+    linked = [child.attrs.get("href") or child.attrs.get("src") for child in children if child.attrs]
+    assert files_in(folder) == {"report.md", *linked}
+    assert len(linked) == len(set(linked)) > 6
+    assert all(path.read_bytes().startswith(b"<?xml") for path in (folder / "pictures").iterdir())
+    assert not [name for name in files_in(folder) if str(tmp_path) in (folder / name).read_text()]
+    assert "Written by `headway report study --format markdown` from the store's files alone" in text
+
+
+def test_formats_have_the_same_sections_and_tables(report: Report, tmp_path: Path) -> None:
+    pages = {name: write_report(report, tmp_path / name, FORMATS[name]) for name in FORMATS}
+    html, text = pages["html"].read_text(), pages["markdown"].read_text()
+    titles = [section.title for section in report.sections]
+    assert titles == re.findall("^## (.*)$", text, re.MULTILINE) == re.findall("<h2>(.*)</h2>", html)[1:]
+    tables = {name: {Path(file).stem for file in files_in(tmp_path / name / "tables")} for name in FORMATS}
+    assert tables["html"] == tables["latex"] == tables["csv"] > {"setup", "final_rewards", "versions"}
+    assert tables["markdown"] == {"runs"}
+    for name in tables["csv"]:
+        exact = (tmp_path / "csv" / "tables" / f"{name}.csv").read_text()
+        assert exact == (tmp_path / "html" / "tables" / f"{name}.csv").read_text()
+    assert {Path(name).suffix for name in files_in(tmp_path / "latex" / "pictures")} == {".pdf"}
+    assert pages["csv"] == tmp_path / "csv"
+    assert files_in(tmp_path / "csv") == {f"tables/{name}.csv" for name in tables["csv"]}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_the_same_store_gives_the_same_files(name: str, root: Path, tmp_path: Path) -> None:
+    for place in "ab":
+        made = report_of(StudyData(root, "study"), "headway report study")
+        write_report(made, tmp_path / place, FORMATS[name])
+    assert files_in(tmp_path / "a") == files_in(tmp_path / "b")
+    for file in files_in(tmp_path / "a"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
+
+
+def test_the_setup_names_policies_seeds_steps_and_episodes(report: Report) -> None:
+    setup = report.sections[0]
+    table, evaluation = setup.body
+    assert not isinstance(table, str)
+    assert isinstance(evaluation, str)
+    assert [row[:1] + row[3:] for row in table.rows] == [["ia2c", "0 to 2", "40"], ["ippo", "0 to 2", "40"]]
+    assert isinstance(table.data, pd.DataFrame)
+    assert table.data["seed"].tolist() == [0, 1, 2, 0, 1, 2]
+    assert "2 episodes per point of the curves, 4 episodes in the last evaluation" in evaluation
+    assert evaluation.endswith("the rules `optimal`, `random`.")
+
+
+def test_files_of_an_earlier_report_are_listed(
+    report: Report, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = [section for section in report.sections if section.title == "Runs"]
+    report = replace(report, sections=runs)
+    write_report(report, tmp_path / "report", FORMATS["html"])
+    assert "earlier report" not in capsys.readouterr().err
+    (tmp_path / "report" / "tables" / "scaling.csv").write_text("of before")
+    (tmp_path / "report" / "tables" / "scaling.tex").write_text("of another format")
+    write_report(report, tmp_path / "report", FORMATS["html"])
+    assert "files of an earlier report kept in" in (told := capsys.readouterr().err)
+    assert "tables/scaling.csv" in told
+    assert "scaling.tex" not in told
+    assert told.count("\n") == 1
