@@ -20,10 +20,11 @@ _ESCAPES = {
     "\N{SUPERSCRIPT TWO}": r"\textsuperscript{2}",
 }
 _MINUS = re.compile(r"(?<![\w.-])-(?=\d)")
+_BREAK = "\0"
 _COMMENT_WIDTH = 100
 _LONG_TEXT = 40
 """Characters from which on text is wrapped in its cell."""
-_FEWEST_PER_LINE = 10
+_FEWEST_PER_LINE = 12
 """Characters per line of a wrapped heading, at least."""
 
 
@@ -68,7 +69,9 @@ def _column(cells: Sequence[str], is_text: bool) -> str:
 
 
 def _heading(heading: str, width: int, is_text: bool) -> str:
-    lines = wrap(heading, max(width, _FEWEST_PER_LINE), break_long_words=False, break_on_hyphens=False)
+    breakable = heading.replace("_", f"_{_BREAK} ")  # names of rules are long
+    lines = wrap(breakable, max(width, _FEWEST_PER_LINE), break_long_words=False, break_on_hyphens=False)
+    lines = [line.replace(f"{_BREAK} ", "").removesuffix(_BREAK) for line in lines]
     if len(lines) < 2:
         return latex(heading)
     stacked = r" \\ ".join(map(_after_break, map(latex, lines)))

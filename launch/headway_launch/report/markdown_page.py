@@ -15,9 +15,9 @@ _SPECIAL = re.compile(
     r"|<(?=[A-Za-z/!?])"  # a tag
     r"|&(?=#?\w+;)"
     r"|(?<![^\W_])_|_(?![^\W_])"  # within a word an underscore is no emphasis
-    r"|\[(?=\^|[^\]]*\][(\[:])"  # a link or a footnote
+    r"|\[(?=\^|[^\]]*\][(\[])"  # a link or a footnote
 )
-_BLOCK_START = re.compile(r"^(?=[#>%]|[-+*:](?:\s|$)|(?:[-=+]+)$)")
+_BLOCK_START = re.compile(r"^(?=[#>%]|[-+*:](?:\s|$)|(?:[-=+]+)$|\[[^\]]*\]:)")
 _NUMBERED = re.compile(r"^(\d+)(?=[.)](?:\s|$))")
 
 

@@ -1,7 +1,9 @@
 """Sections on provenance: the runs, their command lines, configurations and versions."""
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import pandas as pd
@@ -17,6 +19,7 @@ from headway_launch.studies.runs import configuration
 
 _SHOWN = ("final_reward", "auc", "env_steps", "kwh", "cpu_seconds", "steps_per_second", "duration_s")
 _METRICS = (*_SHOWN, "kg_co2")
+_COMMAND_WIDTH = 100
 _MOST_VALUES = 3
 """Maximum number of values of a tag that are listed; if there are more, only their number is given."""
 
@@ -86,7 +89,7 @@ def provenance_section(data: StudyData) -> Section:
         first = configuration(members[0].directory)
         seeds = ",".join(str(seed) for seed in sorted({row.seed for row in members}))
         title = controller if len(data.tasks) == 1 else f"{controller}, {task}"
-        body.append(Listing(f"{title}: command line", _line_of(first, seeds), unfolded=True))
+        body.append(Listing(f"{title}: command line", _wrapped(_line_of(first, seeds)), unfolded=True))
         whole = {key: value for key, value in first.items() if key != "store"}
         whole["seed"] = [row.seed for row in members]
         text = yaml.safe_dump(whole, sort_keys=False)
@@ -122,6 +125,15 @@ def _line_of(mapping: Mapping[str, Any], seeds: str) -> str:
         return reproducing_line(mapping, seeds)
     except HeadwayError as error:
         return f"# cannot be repeated with this version and the installed packages: {error}"
+
+
+def _wrapped(line: str) -> str:
+    """Continue a command line over several lines, as a shell reads it; a comment stays as it is."""
+    if line.startswith("#"):
+        return line
+    words = (shlex.quote(word).replace(" ", "\0") for word in shlex.split(line))
+    lines = wrap(" ".join(words), _COMMAND_WIDTH, break_long_words=False, break_on_hyphens=False)
+    return " \\\n    ".join(lines).replace("\0", " ")
 
 
 def _reason(run: RunRow) -> str:

@@ -51,8 +51,8 @@ def _writer() -> str:
     tags = provenance()
     commit = ""
     if revision := tags.get("git.revision"):
-        changed = " with uncommitted changes" if tags.get("git.dirty") == "true" else ""
-        commit = f" at commit {revision[:12]}{changed}"
+        changed = ", with uncommitted changes" if tags.get("git.dirty") == "true" else ""
+        commit = f" (commit {revision[:12]}{changed})"
     return f"headway {tags['version.headway']}{commit} on {tags['hardware.cpu']}, {tags['hardware.system']}"
 
 
