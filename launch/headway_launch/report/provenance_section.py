@@ -81,8 +81,8 @@ def provenance_section(data: StudyData) -> Section:
         "from this version's defaults, except keys that do not affect results: where runs are stored "
         "(`store`) and how they are distributed over processes (`backend`, apart from `backend.stack`). "
         "`evaluation.rules` appears only if some rules of the environment were not run. The full "
-        "configuration without `store`, with every default spelt out, comes after it. On a CPU, the same "
-        "configuration and seed reproduce the curve bit for bit with the versions listed here"
+        "configuration, with every default spelt out but without `store.root`, comes after it. On a CPU, the "
+        "same configuration and seed reproduce the curve bit for bit with the versions listed here"
         + _determinism_exception(data)
     ]
     for (task, controller), members in data.cells.items():
@@ -90,8 +90,8 @@ def provenance_section(data: StudyData) -> Section:
         seeds = ",".join(str(seed) for seed in sorted({row.seed for row in members}))
         title = controller if len(data.tasks) == 1 else f"{controller}, {task}"
         body.append(Listing(f"{title}: command line", _wrapped(_line_of(first, seeds)), unfolded=True))
-        whole = {key: value for key, value in first.items() if key != "store"}
-        whole["seed"] = [row.seed for row in members]
+        stored = {key: value for key, value in first.get("store", {}).items() if key != "root"}
+        whole = {**first, "seed": [row.seed for row in members], "store": stored}
         text = yaml.safe_dump(whole, sort_keys=False)
         body.append(Listing(f"{title}: configuration", text, f"configs/{members[0].cell}.yaml"))
     made = data.runs.provenance()

@@ -68,8 +68,8 @@ def test_every_row_has_a_cell_per_column_and_a_rule_sets_the_classical_rules_apa
 
 def test_long_headings_are_stacked_and_no_line_is_taken_for_the_space_after_a_row() -> None:
     r"""LaTeX reads `\\ [95%]` as a row with that much space after it."""
-    table = Table("t", "", ["difference from it [95% interval]", "*"], [["[x]", "1"]], pd.DataFrame())
+    table = Table("t", "", ["difference from the [95% interval]", "*"], [["[x]", "1"]], pd.DataFrame())
     source = latex_table(table, "")
-    assert r"\begin{tabular}[b]{@{}l@{}}difference \\ from it \\ {}[95\% \\ interval]\end{tabular}" in source
+    assert r"\begin{tabular}[b]{@{}l@{}}difference \\ from the \\ {}[95\% \\ interval]\end{tabular}" in source
     assert not re.search(r"\\\\\s*[\[*]", source)
     assert re.search(r"^\{\}\[x\] & 1", source, re.MULTILINE)

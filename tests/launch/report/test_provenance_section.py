@@ -1,5 +1,6 @@
 """Provenance of the runs in a report."""
 
+import subprocess
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,3 +21,20 @@ def test_algorithms_that_apply_gradients_on_arrival_are_excepted_from_reproducti
     data: Any = SimpleNamespace(cells=cells)
     monkeypatch.setattr(provenance_section, "configuration", lambda directory: {"algo": directory})
     assert provenance_section._determinism_exception(data).startswith(ending)
+
+
+def test_a_shell_reads_a_command_over_several_lines_as_one() -> None:
+    words = [
+        f"key{place}={value}" for place in range(30) for value in ("1e-3", "'a - b'", '"it\'s"', "[x,y]")
+    ]
+    line = " ".join(["headway run", *words])
+    wrapped = provenance_section._wrapped(line)
+    assert max(map(len, wrapped.splitlines())) <= 106
+    function = "headway() { printf '%s\\n' \"$@\"; }\n"
+    read = [
+        subprocess.run(["sh", "-c", function + text], capture_output=True, text=True, check=True).stdout
+        for text in (line, wrapped)
+    ]
+    assert read[0] == read[1]
+    assert len(read[0].splitlines()) == 1 + len(words)
+    assert provenance_section._wrapped("# it's " + line) == "# it's " + line

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import pandas as pd
 import pytest
 from markdown_it import MarkdownIt
 
@@ -35,6 +34,17 @@ def report(root: Path) -> Report:
     return report_of(StudyData(root, "study"), "headway report study")
 
 
+@pytest.fixture(scope="module")
+def formats(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("formats")
+
+
+@pytest.fixture(scope="module")
+def pages(report: Report, formats: Path) -> dict[str, Path]:
+    """The report in every format: its page, or its folder."""
+    return {name: write_report(report, formats / name, FORMATS[name]) for name in FORMATS}
+
+
 def files_in(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
@@ -57,42 +67,31 @@ def test_a_markdown_page_links_every_file_beside_it_and_no_other(root: Path, tmp
     assert "Written by `headway report study --format markdown` from the store's files alone" in text
 
 
-def test_formats_have_the_same_sections_and_tables(report: Report, tmp_path: Path) -> None:
-    pages = {name: write_report(report, tmp_path / name, FORMATS[name]) for name in FORMATS}
+def test_formats_have_the_same_sections_and_tables(
+    report: Report, pages: dict[str, Path], formats: Path
+) -> None:
     html, text = pages["html"].read_text(), pages["markdown"].read_text()
     titles = [section.title for section in report.sections]
     assert titles == re.findall("^## (.*)$", text, re.MULTILINE) == re.findall("<h2>(.*)</h2>", html)[1:]
-    tables = {name: {Path(file).stem for file in files_in(tmp_path / name / "tables")} for name in FORMATS}
+    tables = {name: {Path(file).stem for file in files_in(formats / name / "tables")} for name in FORMATS}
     assert tables["html"] == tables["latex"] == tables["csv"] > {"setup", "final_rewards", "versions"}
     assert tables["markdown"] == {"runs"}
     for name in tables["csv"]:
-        exact = (tmp_path / "csv" / "tables" / f"{name}.csv").read_text()
-        assert exact == (tmp_path / "html" / "tables" / f"{name}.csv").read_text()
-    assert {Path(name).suffix for name in files_in(tmp_path / "latex" / "pictures")} == {".pdf"}
-    assert pages["csv"] == tmp_path / "csv"
-    assert files_in(tmp_path / "csv") == {f"tables/{name}.csv" for name in tables["csv"]}
+        exact = (formats / "csv" / "tables" / f"{name}.csv").read_text()
+        assert exact == (formats / "html" / "tables" / f"{name}.csv").read_text()
+    assert {Path(name).suffix for name in files_in(formats / "latex" / "pictures")} == {".pdf"}
+    assert pages["csv"] == formats / "csv"
+    assert files_in(formats / "csv") == {f"tables/{name}.csv" for name in tables["csv"]}
 
 
-@pytest.mark.parametrize("name", FORMATS)
-def test_the_same_store_gives_the_same_files(name: str, root: Path, tmp_path: Path) -> None:
-    for place in "ab":
-        made = report_of(StudyData(root, "study"), "headway report study")
-        write_report(made, tmp_path / place, FORMATS[name])
-    assert files_in(tmp_path / "a") == files_in(tmp_path / "b")
-    for file in files_in(tmp_path / "a"):
-        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
-
-
-def test_the_setup_names_policies_seeds_steps_and_episodes(report: Report) -> None:
-    setup = report.sections[0]
-    table, evaluation = setup.body
-    assert not isinstance(table, str)
-    assert isinstance(evaluation, str)
-    assert [row[:1] + row[3:] for row in table.rows] == [["ia2c", "0 to 2", "40"], ["ippo", "0 to 2", "40"]]
-    assert isinstance(table.data, pd.DataFrame)
-    assert table.data["seed"].tolist() == [0, 1, 2, 0, 1, 2]
-    assert "2 episodes per point of the curves, 4 episodes in the last evaluation" in evaluation
-    assert evaluation.endswith("the rules `optimal`, `random`.")
+def test_the_same_store_gives_the_same_files(root: Path, pages: dict[str, Path], tmp_path: Path) -> None:
+    again = report_of(StudyData(root, "study"), "headway report study")
+    for name, page in pages.items():
+        folder = page.parent if FORMATS[name].page else page
+        write_report(again, tmp_path / name, FORMATS[name])
+        assert files_in(tmp_path / name) == files_in(folder)
+        for file in files_in(folder):
+            assert (tmp_path / name / file).read_bytes() == (folder / file).read_bytes(), file
 
 
 def test_files_of_an_earlier_report_are_listed(
