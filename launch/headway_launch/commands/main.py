@@ -53,7 +53,9 @@ COMMANDS = {
     "export": Command("write a trained policy as npz, ONNX or TorchScript file", "export"),
     "compare": Command("compare a study's cells and the rules on the same episodes", "compare"),
     "plot": Command("plot a study's learning curves", "plot"),
-    "convert": Command("write a study's logs as CSV or for TensorBoard or Weights & Biases", "convert"),
+    "convert": Command(
+        "write a study's logs as CSV or for TensorBoard, Weights & Biases or marl-eval", "convert"
+    ),
     "render": Command("render an episode of a policy or a rule as GIF, MP4 or PNG", "render"),
     "report": Command("write a study's report: one page with tables and plots", "report"),
     "browse": Command("browse studies, reports and runs in a web browser", "browse"),

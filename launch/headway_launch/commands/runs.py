@@ -186,7 +186,7 @@ def typed_line(arguments: argparse.Namespace) -> str:
     words = iter(arguments.typed)
     for word in words:
         option, equals, _ = word.partition("=")
-        if option.startswith("--") and any(name.startswith(option) for name in _FOLDERS):
+        if len(option) > 2 and any(name.startswith(option) for name in _FOLDERS):
             if not equals:
                 next(words, None)
         else:
