@@ -23,6 +23,7 @@ def test_pdf_embeds_its_fonts_as_truetype(tmp_path: Path) -> None:
     content = (tmp_path / "a.pdf").read_bytes()
     assert b"/CIDFontType2" in content
     assert b"/Type3" not in content
+    assert b"/CreationDate" not in content
     [font] = [
         program
         for length, program in re.findall(rb"/Length1 (\d+).*?stream\r?\n(.*?)endstream", content, re.DOTALL)
