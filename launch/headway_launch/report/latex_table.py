@@ -50,7 +50,7 @@ def latex_table(table: Table, command: str) -> str:
         r"\midrule",
     ]
     for place, cells in enumerate(table.rows):
-        if place and place in table.emphasised and place - 1 not in table.emphasised:
+        if place and (place in table.emphasised) != (place - 1 in table.emphasised):
             lines.append(r"\midrule")
         lines.append(_row([latex(cell) for cell in cells]))
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"

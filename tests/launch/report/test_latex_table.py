@@ -50,19 +50,24 @@ def test_every_row_has_a_cell_per_column_and_a_rule_sets_the_classical_rules_apa
         "t",
         "Mean ± standard deviation.",
         ["controller", "a & b", "conclusion"],
-        [["ippo", "-1", "x" * 41], ["rule r_1", "[2]", "100% & more"], ["rule r_2", "3", ""]],
+        [
+            ["ippo", "-1", "x" * 41],
+            ["rule r_1", "[2]", "100% & more"],
+            ["rule r_2", "3", ""],
+            ["coma", "4", ""],
+        ],
         pd.DataFrame(),
         words=frozenset({0, 2}),
         emphasised=frozenset({1, 2}),
     )
     source = latex_table(table, "headway report bus\n--format latex")
-    assert [len(row) for row in rows(source)] == [3] * 4
+    assert [len(row) for row in rows(source)] == [3] * 5
     assert [[printed(cell) for cell in row] for row in rows(source)][1:] == [list(row) for row in table.rows]
     lines = source.splitlines()
     assert lines[0] == "% headway report bus --format latex"
     assert lines[1] == "% Mean ± standard deviation."
     assert r"\begin{tabular}{lrp{0.5\linewidth}}" in lines
-    assert [place for place, line in enumerate(lines) if line == r"\midrule"] == [6, 8]
+    assert [place for place, line in enumerate(lines) if line == r"\midrule"] == [6, 8, 11]
     assert lines[-1] == r"\end{tabular}"
 
 
