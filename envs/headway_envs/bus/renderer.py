@@ -37,6 +37,8 @@ minimum, a fifth of the width, is for straight lines."""
 PANEL_HEIGHT, TITLE, AXIS, LEGEND, LABELS = 190, 24, 18, 26, 46
 """Heights of a panel, of its title and axis, and of the legend, and the width of the labels at its left,
 pixels."""
+QUARTER_S = 900.0
+"""A quarter of an hour, s."""
 ASIDE = 5.0
 """Offset of each bus to the right of its line in driving direction, pixels, so that opposite directions stay
 apart."""
@@ -129,7 +131,7 @@ class BusRenderer:
         first, last = self._net.line_patterns[self._line : self._line + 2]
         self._patterns = range(first, last)
         self._directions = list(dict.fromkeys(self._places.directions[first:last]))
-        self._hours = self._hours_of_service()
+        self._begin_s, self._end_s = self._service()
         self._font = ImageFont.load_default(11 * FINER)
         self._small = ImageFont.load_default(9 * FINER)
         self._large = ImageFont.load_default(15 * FINER)
@@ -173,17 +175,20 @@ class BusRenderer:
         self._write(picture, _clock(now), caption)
         return _downsampled(picture)
 
-    def _hours_of_service(self) -> tuple[int, int]:
-        """Return the hours between which the diagram's line runs: whole ones, within the simulated day.
+    def _service(self) -> tuple[float, float]:
+        """Return the times between which its line runs, s: quarters of an hour of the simulated day.
 
-        From its first departure until after its last, by one and a half times its longest trip: buses may be
-        late, above all if they are held.
+        From its first departure, which may be early by the dispatch window, until after its last, by one and
+        a half times its longest trip: buses may be late, above all if they are held.
         """
         net, config = self._net, self._prepared.config
         departs = net.trip_departure[np.isin(net.trip_pattern, self._patterns)]
-        ends = float(departs.max() + 1.5 * net.line_trip[self._line])
-        first, last = math.floor(float(departs.min()) / 3600.0), math.ceil(ends / 3600.0)
-        return max(first, config.start_hour), min(last, config.end_hour)
+        begin = float(departs.min()) - config.dispatch_window_s
+        end = float(departs.max() + 1.5 * net.line_trip[self._line])
+        return (
+            max(math.floor(begin / QUARTER_S) * QUARTER_S, config.start_hour * 3600.0),
+            min(math.ceil(end / QUARTER_S) * QUARTER_S, config.end_hour * 3600.0),
+        )
 
     def _lay_out(self) -> tuple[Frame, list[Frame]]:
         """Return the frame of the map and those of the diagram's panels."""
@@ -235,8 +240,7 @@ class BusRenderer:
 
     def _in_panel(self, panel: int, time: float, up: float) -> Point:
         left, top, right, bottom = self._panels[panel]
-        begin, end = (3600.0 * hour for hour in self._hours)
-        share = (time - begin) / (end - begin)
+        share = (time - self._begin_s) / (self._end_s - self._begin_s)
         return FINER * (left + share * (right - left)), FINER * (bottom - up * (bottom - top))
 
     def _draw_background(self) -> Image.Image:
@@ -272,15 +276,19 @@ class BusRenderer:
     def _draw_axes(self, draw: ImageDraw.ImageDraw, panel: int) -> None:
         left, top, right, _ = self._panels[panel]
         draw.rectangle([FINER * edge for edge in self._panels[panel]], PAPER)
-        begin, end = self._hours
-        for hour in range(begin, end + 1):
-            x, low = self._in_panel(panel, hour * 3600.0, 0.0)
+        # In a short service there are lines for quarters of an hour; every second line has its time.
+        between = 3600.0 if self._end_s - self._begin_s > 4.0 * 3600.0 else QUARTER_S
+        first = math.ceil(self._begin_s / between) * between
+        for place, time in enumerate(np.arange(first, self._end_s + 1.0, between).tolist()):
+            x, low = self._in_panel(panel, time, 0.0)
             draw.line([(x, FINER * top), (x, low)], GRID)
-            if (hour - begin) % 2 == 0:
-                draw.text((x, low + 4 * FINER), f"{hour} h", FAINT, self._small, anchor="mt")
+            if place % 2 == 0:
+                label = f"{time / 3600.0:.0f} h" if between == 3600.0 else _clock(time)
+                anchor = "mt" if place else "lt"  # beside the label of the distance 0
+                draw.text((x, low + 4 * FINER), label, FAINT, self._small, anchor=anchor)
         kilometres = float(self._places.along[self._longest[panel]][-1]) / 1000.0
         for quarter in range(5):
-            x, y = self._in_panel(panel, begin * 3600.0, quarter / 4.0)
+            x, y = self._in_panel(panel, self._begin_s, quarter / 4.0)
             draw.line([(x, y), (FINER * right, y)], GRID)
             label = f"{kilometres * quarter / 4.0:.1f} km"
             draw.text((x - 4 * FINER, y), label, FAINT, self._small, anchor="rm")
@@ -336,10 +344,10 @@ class BusRenderer:
     def _extend_diagram(self, buses: _VisibleBuses, now: float) -> None:
         """Extend the diagram by one stroke per bus of the line, from its position in the previous picture.
 
-        A bus that has begun another trip or is out of service gets none, and none is drawn after the last
-        hour of the diagram.
+        A bus that has begun another trip or is out of service gets none, and none is drawn after the end of
+        the diagram.
         """
-        if now > 3600.0 * self._hours[1]:
+        if now > self._end_s:
             return
         draw, reached = ImageDraw.Draw(self._canvas), {}
         for n, call in enumerate(buses.calls):

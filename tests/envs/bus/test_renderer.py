@@ -65,18 +65,19 @@ def test_buses_queues_and_strokes_come_with_the_day(line: Prepared) -> None:
 
 
 def test_the_diagram_has_the_hours_of_service(line: Prepared) -> None:
-    """Trips between 7.5 and 10.5 h take up to an hour, or one and a half if they are late."""
+    """Trips that leave from 7.5 to 10.6 h, or some minutes early, take an hour, or one and a half if late."""
     renderer = BusRenderer(line)
-    assert renderer._hours == (line.config.start_hour, line.config.end_hour)
+    assert (renderer._begin_s, renderer._end_s) == (5 * 3600.0, 24 * 3600.0)
     departs = line.network.trip_departure
     share = (departs - departs.min()) / np.ptp(departs)
     network = line.network._replace(
-        trip_departure=3600.0 * (7.5 + 3.0 * share), line_trip=np.full(len(line.lines), 3600.0)
+        trip_departure=3600.0 * (7.5 + 3.1 * share), line_trip=np.full(len(line.lines), 3600.0)
     )
     short = BusRenderer(replace(line, network=network))
-    assert short._hours == (7, 12)
+    assert 0 < line.config.dispatch_window_s <= 900
+    assert (short._begin_s, short._end_s) == (7.25 * 3600.0, 12.25 * 3600.0)
     left, _, right, _ = short._panels[0]
-    assert [short._in_panel(0, 3600.0 * hour, 0.0)[0] / FINER for hour in (7, 12)] == [left, right]
+    assert [short._in_panel(0, 3600.0 * hour, 0.0)[0] / FINER for hour in (7.25, 12.25)] == [left, right]
 
 
 def test_each_direction_has_a_panel_in_which_buses_only_go_up(line: Prepared) -> None:
