@@ -9,7 +9,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import NoReturn
 
-from headway.config.schema import suggestion
+from headway.config.schema import nearest, suggestion
 from headway.contracts.errors import EnvironmentRaisedError, HeadwayError
 from headway_launch.console.output import exit_of_environment, print_line, silence
 from headway_launch.console.threads import limit_threads
@@ -88,6 +88,9 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         if message.startswith("unrecognized") and (fix := self._store_option(message)):
             raise HeadwayError(f"{message}; {self.prog} takes {fix}")
+        word = message.removeprefix("unrecognized arguments: ").split()[0].split("=")[0]
+        if word.startswith("--") and (near := nearest(word, self._option_string_actions)):
+            raise HeadwayError(f"{message}; did you mean {near}? See {self.prog} --help")
         raise HeadwayError(f"{message}; see {self.prog} --help")
 
     def _store_option(self, message: str) -> str:

@@ -221,9 +221,10 @@ def _run(arguments: argparse.Namespace) -> "StoredRun":
             if arguments.name in folder.name or arguments.name == folder.parent.name
         ]
         if arguments.name in known:
+            named = f", {first_runs(runs)}" if runs else ""
             raise HeadwayError(
-                f"{arguments.name} is an environment; add --rule RULE, or name a run"
-                + (f", {first_runs(runs)}" if runs else "")
+                f"{arguments.name} is an environment; add --rule RULE "
+                f"(`headway list rules {arguments.name}`), or name a run{named}"
             ) from error
         if not runs and (near := nearest(arguments.name, known)):
             raise HeadwayError(

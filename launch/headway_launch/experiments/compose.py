@@ -385,7 +385,7 @@ def _hydra_override(override: str, overrides: Sequence[str]) -> str:
         return override
     parts = _OVERRIDE.fullmatch(override)
     if parts is None:
-        raise HeadwayError(f"{override!r} is not an override; write key=value{_experiment_hint(override)}")
+        raise HeadwayError(f"{override!r} is not an override; write key=value{_option_hint(override)}")
     prefix, key, value = parts["prefix"], parts["key"].strip(), parts["value"]
     if key == "algo.name":
         raise HeadwayError(f"{override}: algo.name follows from the choice of algo; write algo={value}")
@@ -451,7 +451,10 @@ def _names_env(overrides: Sequence[str]) -> bool:
     return any(_first_part(override) in ("env", "experiment") for override in overrides)
 
 
-def _experiment_hint(word: str) -> str:
+def _option_hint(word: str) -> str:
+    for group in ("experiment", "env", "algo", "preset"):
+        if word in options().get(group, ()):
+            return f"; did you mean {group}={word}?"
     near = nearest(word, options().get("experiment", ()))
     return f"; did you mean experiment={near}?" if near else " (such as experiment=bus_mappo)"
 

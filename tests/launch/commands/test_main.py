@@ -34,6 +34,7 @@ from headway_launch.experiments.compose import compose
         (["list", "metrics", "buss"], ["buss", "bus"]),
         (["list", "observaitons"], ["did you mean headway list observations?"]),
         (["run", "--fast"], ["--fast", "headway run --help"]),
+        (["run", "--dryrun"], ["--dryrun; did you mean --dry-run? See headway run --help"]),
         (["run", "env=trivial", "--store", "here"], ["headway run takes store.root=FOLDER"]),
         (["list", "envs", "--store", "here"], ["--store here; see headway list --help"]),
         (["data", "plot", "here", "store.root=x"], ["store.root=x; see headway data plot --help"]),

@@ -157,7 +157,10 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path, refused: 
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["merge", "--output", "a.png"], "merge is an environment; add --rule RULE, or name a run"),
+        (
+            ["merge", "--output", "a.png"],
+            "merge is an environment; add --rule RULE (`headway list rules merge`), or name",
+        ),
         (["s0"], "there is no store in 'runs'"),
         (["buss"], "unknown run or environment 'buss'; did you mean bus, with --rule RULE?"),
         (["merge", "--rule", "idel"], "--rule: unknown rule 'idel'; did you mean idle?"),
@@ -194,7 +197,7 @@ def test_an_environment_whose_name_runs_have_is_told_with_those_runs(
         run.mkdir(parents=True)
         (run / "run.json").write_text("{}")
     named = "bus-ippo-s0, bus-ippo-s1, bus-ippo-s2, bus-ippo-s3 or bus-ippo-s4 (7 in all)"
-    line = f"bus is an environment; add --rule RULE, or name a run, {named}\n"
+    line = f"bus is an environment; add --rule RULE (`headway list rules bus`), or name a run, {named}\n"
     assert refused("render", "bus").endswith(line)
     assert f"'ippo' is part of the names of 7 runs: name one, {named}" in refused("render", "ippo")
     assert f"'bus' is a study in runs: name one of its runs, {named}" in refused("export", "bus")
