@@ -51,7 +51,7 @@ def add_dry_run_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dry-run",
         action="store_true",
-        help="list the runs and estimate time and energy, from the finished runs of each cell or from a few "
+        help="list the runs and estimate time and energy, from finished runs like them or from a few "
         "iterations; stores nothing",
     )
 

@@ -76,9 +76,9 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
     kept, kept_rows = without_empty(columns, rows, columns[-1:])
     print_table(kept, kept_rows, spare=kept[:3:-1])
     if finished:
-        known_from["the mean of finished runs"] = finished
+        known_from["as the mean of finished runs"] = finished
     if alike:
-        known_from["the pace of finished runs with the same environment, rollout and algorithm"] = alike
+        known_from["at the pace of finished runs with the same environment, rollout and algorithm"] = alike
     _print_totals(expected, shares.parallel, list(paces.values()), modes, config.backend.name, known_from)
     runs = sum(len(job.seeds) for job in planned)
     if runs != len(planned):
@@ -202,7 +202,7 @@ def _print_totals(
         f"{cpu_s:,.0f} CPU s{energy}"
     )
     for kind, number in known_from.items():
-        print(f"Estimated as {kind} on this machine: {counted(number, 'cell')}.")
+        print(f"Estimated {kind} on this machine: {counted(number, 'cell')}.")
     if not paces:
         return
     fewest = min(len(pace.counted) for pace in paces)

@@ -174,6 +174,7 @@ def _shade_rule_phases(axes: "Axes", phases: Mapping[str, tuple[str, int]], curv
             color="0.35",
             horizontalalignment="left" if steps < middle else "right",
             verticalalignment="bottom" if up > 0 else "top",
+            bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
         )
 
 

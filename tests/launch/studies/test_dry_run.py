@@ -168,12 +168,12 @@ def test_a_cell_without_runs_costs_as_much_per_step_as_runs_like_its_own(
     assert run(longer) == 0
     shown = capsys.readouterr().out
     assert "ippo\t2\t20\t16\t0.4\n" in shown  # twice the 10 s, 4 CPU s and 0.1 kWh, two seeds
-    line = "Estimated as the pace of finished runs with the same environment, rollout and algorithm on this"
+    line = "Estimated at the pace of finished runs with the same environment, rollout and algorithm on this"
     assert f"{line} machine: 1 cell." in shown
     paced = "headway_launch.studies.dry_run.calibrate"
     monkeypatch.setattr(paced, lambda cells, shares: ({id(cell): PACE for cell in cells}, ""))
     assert run([*longer, "algo.model.hidden=[8]"]) == 0
-    assert "Estimated as" not in capsys.readouterr().out
+    assert "Estimated at" not in capsys.readouterr().out
 
 
 def test_consecutive_seeds_are_a_range() -> None:
