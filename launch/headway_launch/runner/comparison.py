@@ -195,7 +195,7 @@ def _print_by_column(
     rules = sorted((row for row in table if str(row[0]).startswith("rule ")), key=lambda row: row[2] or 0)
     spare = [str(row[0]) for row in rules[:-1]]
     title = f"95% intervals: {', '.join(methods)}" if methods else ""
-    print_table(("metric", *names), rows, title, spare=spare)
+    print_table(("metric", *names), rows, title, whole=("metric",), spare=spare)
 
 
 def _return_difference(learned: Sequence[Sequence[Row]], rule: Sequence[Row]) -> "Interval | None":

@@ -1,3 +1,5 @@
+import sys
+
 import pytest
 
 from headway.events import Row
@@ -49,6 +51,19 @@ def test_episodes_that_do_not_pair_give_no_interval(capsys: pytest.CaptureFixtur
     print_comparison("ippo", [episodes(3.0, 5.0, 4.0)], {"hold": episodes(1.0, 2.0)})
     shown = printed(capsys)
     assert [shown[name][1] for name in ("learner minus rule", "95% low", "95% high")] == ["", "", ""]
+
+
+def test_a_narrow_terminal_has_whole_names_of_metrics_and_fewer_rules(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rules = {f"hold_for_{seconds}": [{**row, "trip_time_spread_min": 1.0} for row in episodes(seconds, 2.0)]
+             for seconds in (10, 20, 30, 40)}  # fmt: skip
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "60")
+    print_comparison("ippo", [], rules)
+    shown = capsys.readouterr().out
+    assert " trip_time_spread_min " in shown
+    assert "columns omitted on this narrow terminal: rule hold_for_10" in shown
 
 
 def test_lookahead_is_a_reference_and_not_the_best_rule() -> None:
