@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from numpy.typing import NDArray
 
+    from headway.stats.best_of import BestOf
+
 # Okabe and Ito's colours, safe for colour blindness (jfly.uni-koeln.de/color), then four of Tol's `muted`.
 _COLOURS = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9",
@@ -364,6 +366,33 @@ def performance_profiles(
         axes.fill_between(points, *ends, step="post", color=styles[name]["color"], alpha=0.15, linewidth=0)
     axes.set_ylim(-0.02, 1.02)
     _style_axes(axes, f"{label} above", "share of runs")
+    _legends_beside(figure, [axes])
+    return figure
+
+
+def best_of_n(
+    curves: "Mapping[str, BestOf]", label: str, styles: Mapping[str, Mapping[str, Any]], title: str
+) -> "Figure":
+    """Plot the expected best of n candidates over n, one line per algorithm, with its standard deviation."""
+    figure = _figure(4.2)
+    axes = figure.subplots()
+    shade = min(_SHADE, _SHADES / max(len(curves), 1))
+    for name, best in curves.items():
+        n = np.arange(1, len(best.mean) + 1)
+        axes.plot(n, best.mean, label=name, linewidth=1.6, **_point_markers(len(n)), **styles[name])
+        axes.fill_between(
+            n,
+            best.mean - best.std,
+            best.mean + best.std,
+            color=styles[name]["color"],
+            alpha=shade,
+            linewidth=0,
+        )
+    _bound_bands(axes, np.concatenate([best.mean for best in curves.values()]))
+    axes.locator_params(axis="x", integer=True)
+    _style_axes(axes, "candidates n", label)
+    axes.yaxis.set_major_formatter(_THOUSANDS)
+    figure.suptitle(title)
     _legends_beside(figure, [axes])
     return figure
 
