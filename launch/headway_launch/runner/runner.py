@@ -61,8 +61,8 @@ class Runner:
             self._cluster.close()
             raise
 
-    def run(self) -> int:
-        """Train, evaluate the rules and print the results; return the exit code."""
+    def run(self, report: bool = True) -> int:
+        """Train, evaluate the rules and print the results, if `report`; return the exit code."""
         began, self._own_cpu_s = time.monotonic(), -time.process_time()
         scheduler = Scheduler(self._jobs, self._shares, self._start, self._store_end, self._tick)
         try:
@@ -80,21 +80,11 @@ class Runner:
                 print_line(f"headway: {line}")
             self._cluster.close()
         self._own_cpu_s += time.process_time()
-        with ignore_closed_pipe(sys.stdout):
-            self._print()
-        self._print_summary(time.monotonic() - began)
+        if report:
+            with ignore_closed_pipe(sys.stdout):
+                self._print()
+            self._print_summary(time.monotonic() - began)
         return self._exit_code(stopped)
-
-    def final_rewards(self) -> list[list[float]]:
-        """Return the final rewards of the finished seeds, one list per cell."""
-        return [
-            [
-                reward
-                for result in cell.results.values()
-                if result.status == "FINISHED" and (reward := result.summary.get("final_reward")) is not None
-            ]
-            for cell in self._cells
-        ]
 
     @property
     def store_root(self) -> Path:

@@ -37,7 +37,7 @@ class SessionJob:
         config = cell.config
         progress = JobProgress(
             planned.seeds,
-            config.iterations,
+            planned.training.pause_after or config.iterations,
             config.evaluation.modes[0],
             iteration=planned.iteration,
             iteration_steps=config.rollout.copies * config.rollout.steps,

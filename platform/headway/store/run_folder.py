@@ -208,6 +208,11 @@ def plans_folder(root: Path, study: str) -> Path:
     return root / _slug(study) / "sweeps"
 
 
+def search_database(root: Path, study: str) -> Path:
+    """Return the path of the database with the candidates of a study that is a search."""
+    return root / "searches" / f"{_slug(study)}.db"
+
+
 def run_folders(root: Path) -> Iterator[Path]:
     """Yield every run folder under `root`, in no particular order."""
     try:

@@ -86,6 +86,8 @@ class TrainingJob:
     """Gates through which the run folders are written, one per seed (see `headway.store.fencing`); empty: no
     gates."""
     resume: bool = False
+    pause_after: int | None = None
+    """Iteration after which training stops, with a checkpoint, as if it were asked to; None: never."""
     parent: ParentRun | None = None
     """None: training starts from random parameters or from the plan's rule."""
     later_plans: tuple[RolloutPlan, ...] = ()
@@ -165,6 +167,7 @@ class _Training:
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Train from the start or the newest checkpoint until the budget is used or a stop is requested."""
         total = self.config.iterations
+        last = total if self.job.pause_after is None else min(self.job.pause_after, total)
         if self.job.resume:
             self._resume()
         else:
@@ -178,7 +181,7 @@ class _Training:
         self.report(Started(self.iteration, process_ids, self.episodes_restarted))
         if self.saved_iteration < 0:
             self._write_curve(self._with_labels([{} for _ in self.job.seeds]), self._evaluate(final=False))
-        while self.iteration < total and not should_stop():
+        while self.iteration < last and not should_stop():
             self._iterate(total)
             ends = self.iteration in self.config.stage_ends
             if ends or self.iteration % self.config.store.checkpoint_every == 0:
