@@ -161,6 +161,7 @@ def _options() -> str:
         ("experiment", "headway run experiment=NAME"),
         ("preset", "preset=NAME"),
         ("search", "headway search NAME"),
+        ("space", "pieces: [NAME]"),
     ):
         listed = {f"`{name}`": summary_of(group, name) for name in options()[group]}
         parts += [f"## {group.capitalize()}", f"`{command}`", _definitions(listed)]

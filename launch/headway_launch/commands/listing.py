@@ -44,10 +44,11 @@ examples:
   headway list observations bus env.args.observation=paper      with keys as in `headway run`
   headway list experiments     names for `headway run experiment=NAME`
   headway list searches        names for `headway search NAME`
+  headway list spaces          pieces of search spaces, for files in configs/search
   headway list keys            all keys of an experiment
   headway list keys lr         those with `lr` in their name
   headway list schema > headway.schema.json    JSON Schema of experiments' files, for editors
-  headway list schema preset                   or of files in configs/preset, configs/env, configs/search
+  headway list schema preset                   or of files in configs/preset, env, search, space
 """
 
 
@@ -314,6 +315,7 @@ _LISTS: Mapping[str, Callable[..., None]] = {
     "experiments": _list_group("experiment"),
     "presets": _list_group("preset"),
     "searches": _list_group("search"),
+    "spaces": _list_group("space"),
     "keys": _list_keys,
     "schema": _list_schema,
 }

@@ -44,7 +44,7 @@ COMMANDS = {
         "train every combination of values and seeds that is not in the store", "sweep", only_prints=False
     ),
     "search": Command(
-        "run the hyper-parameter search defined in configs/search/NAME.yaml", "search", only_prints=False
+        "search hyper-parameters, with one budget for all algorithms", "search", only_prints=False
     ),
     "resume": Command("continue runs that were stopped, killed or failed", "resume", only_prints=False),
     "runs": Command("list the runs in the store", "runs"),
@@ -75,7 +75,7 @@ COMMANDS = {
     ),
     "list": Command(
         "list environments, algorithms, wrappers, rules, metrics, observations, experiments, presets, "
-        "searches, keys or a schema",
+        "searches, spaces, keys or a schema",
         "listing",
     ),
 }

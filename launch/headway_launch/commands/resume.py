@@ -94,10 +94,16 @@ def _cells_of_study(
     The cells are those of the study's sweeps, of its unfinished runs outside sweeps, and of the `named` runs.
     """
     from headway.store.index import RunIndex
+    from headway.store.run_folder import search_database
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.plan import StudyProgress, cell_labels, kept_plans, plan_cells
     from headway_launch.studies.session import print_progress
 
+    if search_database(root, study).is_file():
+        raise HeadwayError(
+            f"study {study} is a search, which has runs that are not meant to be continued: repeat its "
+            "`headway search`, or name single runs"
+        )
     everything = RunIndex(root).rows()
     rows = [row for row in everything if row.study == study]
     planned = kept_plans(root, study)

@@ -1,82 +1,104 @@
-"""`headway search`: run the hyper-parameter search defined in configs/search/NAME.yaml."""
+"""`headway search`: search hyper-parameters, with one budget for all algorithms that are compared."""
 
 import argparse
+import shlex
 import sys
-from statistics import mean
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.run import add_config_dir_argument, add_dry_run_argument
 
 if TYPE_CHECKING:
-    from headway.config.experiment import ExperimentConfig
+    from collections.abc import Sequence
+
+    from headway_launch.experiments.search import AlgorithmSearch
+    from headway_launch.studies.search_session import SearchSession
 
 EXAMPLES = """\
 examples:
-  headway search bus_line
-  headway search bus_line env_steps=100_000 study=bus_line_quick
+  headway search toy_tracking
+  headway search toy_tracking --show
+  headway search bus_line candidates=3 env_steps=100_000 study=bus_line_quick
   headway search bus_line --dry-run
 
-A search is a file of configs/search: an experiment, cells (each gets its own winner) and candidates
-(overrides tried in every cell). All cells have the same candidates, seeds and budget; the winner has the
-highest mean final reward. All runs train in parallel; repeating the command continues an interrupted search.
-Use seeds that no study reports: on the seeds that selected it, a winner looks better than it is.
-`headway list searches` lists the searches.
+A search is a file of configs/search: an experiment, the algorithms that are compared, one budget for each of
+them (candidates and env_steps), and their search spaces, from pieces in configs/space. KEY=VALUE sets a key
+of the search (`headway list schema search`) or of all its runs. Candidates are drawn by Optuna, in the extra
+`search`, and are runs of the store; repeating the command continues an interrupted search. Candidates train
+on seeds from 9001 on, which no study reports.
+It ends with the best candidates, their cost, the expected best of n candidates as a table and as a picture,
+and a preset with the best candidate of each algorithm. `headway list searches` lists the searches.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the search and overrides of its base configuration."""
+    """Add the search and overrides of its keys and of its runs."""
     parser.add_argument("search", metavar="SEARCH", help="a file of configs/search, without .yaml")
     parser.add_argument(
-        "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="overrides of every run"
+        "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="keys of the search, or of every run"
     )
     add_config_dir_argument(parser)
     add_dry_run_argument(parser)
-    parser.add_argument("--fresh", action="store_true", help="train all runs, including those in the store")
+    parser.add_argument("--show", action="store_true", help="print the results so far, without training")
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Train every candidate in every cell and print the winners; return the exit code."""
-    from headway_launch.console.output import ignore_closed_pipe
-    from headway_launch.console.tables import print_table
+    """Train the candidates and print the results; return the exit code."""
     from headway_launch.experiments.search import read_search
     from headway_launch.runner.runner import EXIT_DONE
-    from headway_launch.studies.session import StudySession
+    from headway_launch.studies.search_session import SearchSession
 
-    search = read_search(arguments.search)
-    points = search.points(arguments.overrides)
-    labels = [": ".join(point) for point in points]
-    session = StudySession.plan(list(points.values()), labels, arguments.fresh)
+    parts = read_search(arguments.search, arguments.overrides)
     if arguments.dry_run:
-        from headway_launch.studies.dry_run import print_estimate
+        return _dry_run(parts)
+    if arguments.show and not (database := SearchSession(parts, stored=False).database).is_file():
+        raise HeadwayError(f"search {arguments.search} has not begun: there is no {database}")
+    session = SearchSession(parts)
+    code = EXIT_DONE if arguments.show else session.run(arguments.debug)
+    if code == EXIT_DONE:
+        _print(session, arguments.search)
+    return code
 
-        return print_estimate(session.progress, session.cells)
-    runner = session.open_runner(arguments.debug)
-    code = runner.run()
-    if code != EXIT_DONE:
-        return code
-    session.require_all_ended(runner)
-    results = {}
-    for (point, experiment), rewards in zip(points.items(), runner.final_rewards(), strict=True):
-        if len(rewards) < len(experiment.config.seed):
-            raise HeadwayError(
-                f"{': '.join(point)} has {len(rewards)} of {len(experiment.config.seed)} seeds, because "
-                "another session trains the others; repeat the search when that session has ended"
-            )
-        results[point] = mean(rewards)
-    best = {cell: max(results[cell, candidate] for candidate in search.candidates) for cell in search.cells}
-    counts = {cell: [results[cell, name] for name in search.candidates].count(best[cell]) for cell in best}
-    rows = [
-        (cell, candidate, found, "" if found < best[cell] else "best" if counts[cell] == 1 else "tied best")
-        for (cell, candidate), found in results.items()
-    ]
-    config = next(iter(points.values())).config
+
+def _dry_run(parts: "Sequence[AlgorithmSearch]") -> int:
+    from headway_launch.studies.dry_run import print_search_estimate
+    from headway_launch.studies.search_session import SearchSession
+
+    session = SearchSession(parts, stored=False)
+    ended = {part.label: 0 for part in parts}
+    if session.database.is_file():
+        begun = SearchSession(parts)
+        for part in parts:
+            ended[part.label] = sum(each.trial.state != "RUNNING" for each in begun.candidates(part))
+    return print_search_estimate(session, ended)
+
+
+def _print(session: "SearchSession", name: str) -> None:
+    """Print the results of a search and write its picture and its preset."""
+    from headway_launch.console.output import ignore_closed_pipe, own_name, print_line, relative
+    from headway_launch.experiments.options import own_folder
+    from headway_launch.studies.search_results import (
+        print_results,
+        results_of,
+        task_words,
+        write_picture,
+        write_preset,
+    )
+
+    results = results_of(session)
     with ignore_closed_pipe(sys.stdout):
-        print_table(("cell", "candidate", "mean final reward", "rank"), rows, title=_title(config))
-    return EXIT_DONE
-
-
-def _title(config: "ExperimentConfig") -> str:
-    seeds = ", ".join(str(seed) for seed in config.seed)
-    return f"search on {config.env.id}: seeds {seeds}, {config.env_steps:,} environment steps each"
+        print_results(results)
+    session.print_failed()
+    picture = session.database.with_suffix(".png")
+    if write_picture(results, picture):
+        print_line(f"expected best of n candidates: {relative(picture)}")
+    if any(result.best for result in results):
+        # Beside the experiment and the preset that the search began from, if they are the user's own.
+        folder = own_folder() or session.database.parent
+        preset = folder / "preset" / f"{session.database.stem}.yaml"
+        algorithms, notes = write_preset(results, preset, name)
+        words = [*task_words(session.parts[0]), f"preset={preset.stem}", f"algo={','.join(algorithms)}"]
+        command = shlex.join(["sweep", "--config-dir", relative(folder), *words, "seed=0..9"])
+        print_line(f"preset {relative(preset)}; use it with: {own_name()} {command}")
+        for line in notes:
+            print_line(line)

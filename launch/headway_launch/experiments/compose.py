@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from itertools import chain
@@ -225,6 +225,14 @@ def compose(overrides: Sequence[str]) -> Experiment:
     may be the path of an experiment's file (`choice_of_file`). The values of a preset take precedence
     over the defaults only. Raises HeadwayError for an invalid override.
     """
+    return composer(overrides)({})
+
+
+def composer(overrides: Sequence[str]) -> Callable[[Mapping[str, Any]], Experiment]:
+    """Return a function that composes the experiment of `overrides` with values of further dotted keys.
+
+    Hydra, which takes a tenth of a second, is called once. Both raise HeadwayError as `compose` does.
+    """
     file, others = split_experiment_file(overrides)
     words = [choice_of_file(file)] if file else []
     words += [_hydra_override(override, overrides) for override in others]
@@ -234,13 +242,22 @@ def compose(overrides: Sequence[str]) -> Experiment:
     presets = mapping.pop("preset", None) or {}
     preset = choices.get("preset") or NO_PRESET
     values = _preset_values(presets, mapping, by_default=preset.startswith(_DEFAULT))
-    try:
-        experiment = resolve({**_merged(values, mapping), "preset": preset if values else NO_PRESET})
-        return _with_parent_named(experiment)
-    except UnknownKeyError as error:
-        if _has_key(values, error.key) and not _has_key(mapping, error.key):
-            raise HeadwayError(f"preset={preset} does not fit this experiment: {error}") from error
-        raise
+
+    def composed(further: Mapping[str, Any]) -> Experiment:
+        given = mapping
+        for key, value in further.items():
+            for part in reversed(key.split(".")):
+                value = {part: value}
+            given = _merged(given, value)
+        try:
+            experiment = resolve({**_merged(values, given), "preset": preset if values else NO_PRESET})
+            return _with_parent_named(experiment)
+        except UnknownKeyError as error:
+            if _has_key(values, error.key) and not _has_key(given, error.key):
+                raise HeadwayError(f"preset={preset} does not fit this experiment: {error}") from error
+            raise
+
+    return composed
 
 
 def _with_parent_named(experiment: Experiment) -> Experiment:

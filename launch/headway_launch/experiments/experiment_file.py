@@ -9,8 +9,9 @@ from headway.config.experiment import NO_PRESET
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.registry import is_external
-from headway.store.run_configuration import require_small_yaml, upgraded
+from headway.store.run_configuration import upgraded
 from headway_launch.experiments.options import options
+from headway_launch.experiments.yaml_file import read_mapping
 
 _GROUP = "experiment"
 _NAMED_BY = {"env": "id", "algo": "name", "backend": "name"}
@@ -57,7 +58,7 @@ def choice_of_file(path: Path) -> str:
     if not isinstance(defaults, list):
         raise HeadwayError(f"{path}: defaults must be a list, such as [override /algo: mappo]")
     for group, known in options().items():
-        if group in (_GROUP, "search") or group not in content:
+        if group in (_GROUP, "search", "space") or group not in content:
             continue
         value = content[group]
         if value is False and "off" in known:
@@ -84,22 +85,13 @@ def choice_of_file(path: Path) -> str:
 
 
 def _content(path: Path) -> dict[str, Any]:
-    from omegaconf import OmegaConf
-    from omegaconf.errors import OmegaConfBaseException
-    from yaml import YAMLError
-
     if not path.is_file():
         raise HeadwayError(
             f"{path}: there is no such file; give an experiment's YAML file, or experiment=NAME"
         )
-    try:
-        text = path.read_text(encoding="utf-8")
-        require_small_yaml(text)
-        content = OmegaConf.to_container(OmegaConf.create(text))
-    except (OSError, ValueError, RecursionError, YAMLError, OmegaConfBaseException) as error:
-        raise HeadwayError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
-    if not content or not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
+    content = read_mapping(path)
+    if not content:
         raise HeadwayError(f"{path} must hold keys of an experiment, such as env: bus (`headway list keys`)")
     if "hydra" in content:
         raise HeadwayError(f"{path}: hydra is not a key of an experiment; remove it")
-    return {str(key): value for key, value in content.items()}
+    return content

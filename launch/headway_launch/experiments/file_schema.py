@@ -11,6 +11,7 @@ from headway.contracts.errors import HeadwayError
 from headway.registry import algo_entries, algo_entry, env_entries
 from headway_launch.experiments.options import config_file, options
 from headway_launch.experiments.search import Search
+from headway_launch.experiments.search_space import Piece
 
 _SEEDS = {"type": ["integer", "string", "array"]}
 _EXTERNAL = {"type": "string", "pattern": "[.:]"}
@@ -41,7 +42,7 @@ def _algo_schema(name: str) -> Schema:
 
 
 def _experiment_schema() -> Schema:
-    groups = {group: list(known) for group, known in options().items() if group != "search"}
+    groups = {group: list(known) for group, known in options().items() if group not in ("search", "space")}
     bases = {"enum": [*groups.pop("experiment"), "_self_"]}
     schema = record_schema(ExperimentConfig)
     keys = schema["properties"]
@@ -145,5 +146,6 @@ FILE_KINDS: Mapping[str, Callable[[], Schema]] = {
     "preset": _preset_schema,
     "env": _env_schema,
     "search": lambda: record_schema(Search),
+    "space": lambda: record_schema(Piece),
 }
 """Folders of `configs/` with the schema of their files, which may refer to definitions of `file_schema`."""

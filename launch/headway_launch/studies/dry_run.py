@@ -19,7 +19,8 @@ from headway_launch.runner.calibration import Expectation, Pace, calibrate
 from headway_launch.runner.cores import share_cores
 from headway_launch.runner.jobs import CellPlan
 from headway_launch.runner.stored_run import StoredRun
-from headway_launch.studies.plan import StudyProgress
+from headway_launch.studies.plan import StudyProgress, plan_cells
+from headway_launch.studies.search_session import SearchSession
 
 _MOST_READ = 50
 """Most finished runs of an algorithm, from the newest on, that are searched for a known pace."""
@@ -87,6 +88,67 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
             f"{counted(runs, 'run')} in {counted(len(planned), 'job')}: a job trains up to {most} seeds at "
             "once (backend.stack)."
         )
+    return 0
+
+
+def print_search_estimate(session: SearchSession, ended: Mapping[str, int]) -> int:
+    """Print the budget of a search and the estimated cost of training what is left; return the exit code.
+
+    The first candidate of each algorithm is measured, by training it for a few iterations. `ended`: number of
+    candidates per algorithm that have ended. Nothing is written to the store.
+
+    Raises HeadwayError if a candidate cannot be trained.
+    """
+    search = session.search
+    rungs = ", ".join(
+        f"{count} to {end:,}"
+        for count, end in zip(search.left_at(search.batch or search.candidates), search.ends, strict=True)
+    )
+    rows = [
+        (
+            part.label,
+            part.candidates,
+            ended[part.label],
+            search.seeds,
+            rungs,
+            part.steps(),
+            ", ".join(part.space),
+        )
+        for part in session.parts
+    ]
+    columns = ("algorithm", "candidates", "ended", "seeds", "of a batch, to step", "steps in all", "searched")
+    print_table(columns, rows, f"study {session.config.study}")
+    left = {part.label: 1 - ended[part.label] / part.candidates for part in session.parts}
+    if not any(left.values()):
+        print_line("headway: nothing is left to train")
+        return 0
+    print(end="", flush=True)  # show the list during the calibration
+    first = [
+        candidate
+        for candidate in session.drawn(0)
+        if candidate.trial.number == 0 and left[candidate.part.label]
+    ]
+    progress = [StudyProgress.untouched(candidate.experiment) for candidate in first]
+    cells = plan_cells(progress, [candidate.part.label for candidate in first])
+    jobs = [job for cell in cells for job in cell.jobs]
+    together = max(len(part.batches[0]) for part in session.parts)
+    shares = share_cores(session.config.backend, jobs * together, usable_cores())
+    paces, modes = calibrate(cells, shares)
+    expected: list[Expectation] = []
+    for candidate, cell in zip(first, cells, strict=True):
+        part, config = candidate.part, candidate.experiment.config
+        # As many jobs as candidates, each of the mean length.
+        share = part.steps() / (part.candidates * search.seeds * search.env_steps)
+        number = round(part.candidates * left[part.label])
+        for job in cell.jobs:
+            each = paces[id(cell)].estimate(config, job.iteration)
+            shorter = Expectation(
+                each.seconds * share,
+                each.cpu_s * share,
+                *(None if used is None else used * share for used in (each.kwh, each.kg_co2)),
+            )
+            expected += [shorter] * number
+    _print_totals(expected, shares.parallel, list(paces.values()), modes, config.backend.name, {})
     return 0
 
 

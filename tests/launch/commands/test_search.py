@@ -1,70 +1,104 @@
-"""`headway search` finds a winner by real runs, and `headway plot` draws them."""
+"""`headway search` finds the best candidates by real runs; `headway plot` and `compare` show its study."""
 
 import io
 import subprocess
 import sys
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import yaml
 from command_lines import Refused, RowsOf
 
-from headway.contracts.errors import HeadwayError
+from headway.stats.best_of import expected_best
 from headway.store.index import RunIndex
 from headway_launch.commands.main import run
+from headway_launch.experiments.compose import compose
 from headway_launch.experiments.options import own_configs
-from headway_launch.experiments.search import read_search
-from headway_launch.runner.runner import Runner
+from headway_launch.studies.search_results import order_lines
 
-SMALL = ("toy_matrix", "env_steps=2048", "backend=serial", "energy=off")
+pytest.importorskip("optuna", reason='Optuna is not installed: pip install "headway[search]"')
+
+SMALL = ("toy_tracking", "candidates=4", "env_steps=2048", "rungs=[1_024]", "backend=serial", "energy=off")
 
 
 @dataclass(frozen=True)
 class Searched:
-    """A store with the runs of a search, and the table of its winners."""
+    """A store with the runs of a search, and what the search printed."""
 
     root: Path
-    winners: str
+    out: str
+    err: str
 
-
-def winners_of(told: str) -> str:
-    return told[told.index("cell\tcandidate") :]
+    def tables(self) -> list[list[list[str]]]:
+        return [
+            [line.split("\t") for line in table.splitlines() if "\t" in line]
+            for table in self.out.split("\n\n")
+        ]
 
 
 @pytest.fixture(scope="module")
 def searched(tmp_path_factory: pytest.TempPathFactory) -> Searched:
     root = tmp_path_factory.mktemp("store")
-    with redirect_stdout(io.StringIO()) as told:
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
         assert run(["search", *SMALL, f"store.root={root}"]) == 0
-    return Searched(root, winners_of(told.getvalue()))
+    return Searched(root, out.getvalue(), err.getvalue())
 
 
 @pytest.mark.slow
-def test_a_search_names_one_winner_a_cell(searched: Searched) -> None:
-    rows = [line.split("\t") for line in searched.winners.splitlines()[1:] if line]
-    assert [row[1] for row in rows] == ["lr 5e-4", "lr 5e-3"]
-    first, second = (float(row[2]) for row in rows)
-    words = ["best", ""] if first > second else ["", "best"]
-    assert [row[3] for row in rows] == (["tied best"] * 2 if first == second else words)
+def test_a_search_shows_the_best_their_cost_and_the_expected_best(searched: Searched) -> None:
+    best, spent, expected = searched.tables()
+    assert best[0] == ["algorithm", "candidate", "score", "steps", "settings"]
+    assert [row[0] for row in best[1:]] == ["ippo"] * 3 + ["mappo"] * 3
+    for rows in (best[1:4], best[4:]):
+        assert [row[3] for row in rows] == ["2048", "2048", "1024"]
+        assert float(rows[0][2]) >= float(rows[1][2])
+        assert "algo.lr=" in rows[0][4]
+    # Four candidates to step 1,024 and two of them to 2,048.
+    assert [row[:5] for row in spent[1:]] == [
+        [name, "4 of 4", "2", "0", "6144"] for name in ("ippo", "mappo")
+    ]
+    assert all(float(row[5]) > 0 for row in spent[1:])
+    assert [row[0] for row in expected] == ["candidates n", "1", "2", "4"]
+    assert searched.out.splitlines()[-1].startswith("n = ")
+    assert (searched.root / "searches" / "search_toy_tracking.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow
-def test_a_search_given_again_trains_nothing_and_names_the_same_winner(
+def test_its_preset_trains_as_the_best_candidate(searched: Searched) -> None:
+    """What the experiment sets itself is named."""
+    folder = searched.root / "searches"
+    content = yaml.safe_load((folder / "preset" / "search_toy_tracking.yaml").read_text())
+    assert set(content) == {"ippo", "mappo"}
+    with own_configs(str(folder)):
+        experiment = compose(["experiment=toy_tracking", "preset=search_toy_tracking", "algo=mappo"])
+    assert experiment.algo_config.lr == content["mappo"]["algo"]["lr"]
+    assert "experiment=toy_tracking preset=search_toy_tracking algo=ippo,mappo seed=0..9" in searched.err
+    assert "over any preset" not in searched.err
+
+
+@pytest.mark.slow
+def test_a_search_given_again_or_shown_trains_nothing(
     searched: Searched, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["search", *SMALL, f"store.root={searched.root}"]) == 0
-    again = capsys.readouterr()
-    assert "2 finished and skipped" in again.err
-    assert winners_of(again.out) == searched.winners
-    assert len(RunIndex(searched.root).rows("search_toy_matrix")) == 2
+    for option in ((), ("--show",)):
+        assert run(["search", *SMALL, f"store.root={searched.root}", *option]) == 0
+        assert capsys.readouterr().out == searched.out
+    assert len(RunIndex(searched.root).rows("search_toy_tracking")) == 8
+
+
+@pytest.mark.slow
+def test_the_rest_of_a_search_is_no_study_to_resume(searched: Searched, refused: Refused) -> None:
+    line = refused("resume", "--study", "search_toy_tracking", "--store", str(searched.root))
+    assert "study search_toy_tracking is a search" in line
 
 
 @pytest.mark.slow
 def test_a_study_is_drawn(searched: Searched, tmp_path: Path) -> None:
     picture = tmp_path / "curves.png"
     where = ("--store", str(searched.root), "--output", str(picture))
-    assert run(["plot", "search_toy_matrix", *where]) == 0
+    assert run(["plot", "search_toy_tracking", *where]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
@@ -72,12 +106,12 @@ def test_a_study_is_drawn(searched: Searched, tmp_path: Path) -> None:
 def test_cells_and_rules_are_compared_on_the_same_days(
     searched: Searched, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["compare", "search_toy_matrix", "--store", str(searched.root), "--episodes", "4"]) == 0
+    assert run(["compare", "search_toy_tracking", "--store", str(searched.root), "--episodes", "4"]) == 0
     shown = capsys.readouterr()
     header, *rows = [line.split("\t") for line in shown.out.splitlines() if "\t" in line]
     assert (header[4], header[7]) == ("minus optimal", "interval")
-    cells = [f"ippo: lr {rate}" for rate in ("5e-4", "5e-3")]
-    assert {row[1] for row in rows} == {"rule random", "rule optimal", *cells}
+    assert {"rule random", "rule optimal"} < {row[1] for row in rows}
+    assert len(rows) == 6
     optimal = next(float(row[3]) for row in rows if row[1] == "rule optimal")
     for row in rows:
         if row[1] != "rule optimal":
@@ -90,38 +124,9 @@ def test_cells_and_rules_are_compared_on_the_same_days(
 @pytest.mark.slow
 def test_rules_to_compare_with_are_chosen(searched: Searched, rows_of: RowsOf) -> None:
     words = ("--store", str(searched.root), "--episodes", "2", "--rules", "random")
-    header, *rows = rows_of("compare", "search_toy_matrix", *words)
+    header, *rows = rows_of("compare", "search_toy_tracking", *words)
     assert header[4] == "minus random"
     assert [row[1] for row in rows if row[1].startswith("rule ")] == ["rule random"]
-
-
-@pytest.mark.slow
-def test_no_winner_is_named_while_another_session_trains_a_seed(
-    searched: Searched, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(Runner, "final_rewards", lambda self: [[1.0], []])
-    assert run(["search", *SMALL, f"store.root={searched.root}"]) == 2
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert "ippo: lr 5e-3 has 0 of 1 seeds, because another session" in last
-
-
-@pytest.mark.parametrize(
-    ("content", "line"),
-    [
-        ("", "must have the keys base, cells and candidates"),
-        ("base: [experiment=toy_matrix]\ncells: {a: []}\ncandidates: {}", "candidates must have one entry"),
-        ("base: [experiment=toy_matrix]\ncells: {a: }\ncandidates: {b: []}", "search/broken.cells.a"),
-        ("base: [experiment=toy_matrix]\nname: c\ncells: {a: []}\ncandidates: {b: []}", "name is not a key"),
-        ("base: [", "is not valid YAML"),
-    ],
-)
-def test_a_broken_search_is_one_line(content: str, line: str, tmp_path: Path) -> None:
-    (tmp_path / "search").mkdir()
-    (tmp_path / "search" / "broken.yaml").write_text(content)
-    with own_configs(str(tmp_path)), pytest.raises(HeadwayError) as raised:
-        read_search("broken")
-    assert line in str(raised.value)
-    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.slow
@@ -133,17 +138,33 @@ def test_the_installed_program_tells_a_wrong_search_in_one_line() -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_candidates_that_an_override_makes_equal_are_refused(refused: Refused) -> None:
-    line = refused("search", "toy_matrix", "algo.lr=1e-3")
-    assert "ippo: lr 5e-4 and ippo: lr 5e-3 are the same experiment" in line
+def test_a_search_that_has_not_begun_is_not_shown(tmp_path: Path, refused: Refused) -> None:
+    line = refused("search", "toy_tracking", f"store.root={tmp_path / 'runs'}", "--show")
+    assert "search toy_tracking has not begun" in line
+    assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.slow
-def test_wrong_words_for_a_plot_are_one_line(searched: Searched, tmp_path: Path, refused: Refused) -> None:
+def test_wrong_words_for_a_plot_are_one_line(
+    searched: Searched, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After a line on the runs that have not finished."""
     absent = str(tmp_path / "absent" / "x.png")
     for words, line in (
         (("search_toy_matri",), "no study 'search_toy_matri'"),
-        (("search_toy_matrix", "--metric", "evaluation_greedy/retrun"), "evaluation_greedy/return"),
-        (("search_toy_matrix", "--output", absent), "cannot be written"),
+        (("search_toy_tracking", "--metric", "evaluation_greedy/retrun"), "evaluation_greedy/return"),
+        (("search_toy_tracking", "--output", absent), "cannot be written"),
     ):
-        assert line in refused("plot", *words, "--store", str(searched.root))
+        capsys.readouterr()
+        assert run(["plot", *words, "--store", str(searched.root)]) == 2
+        assert line in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_order_of_algorithms_is_told_per_number_of_candidates() -> None:
+    steady, lucky = expected_best([3.0, 3.0, 3.0]), expected_best([-1.0, 0.0, 9.0])
+    curves = {"lucky": lucky, "steady": steady}
+    # Alone, the lucky one is expected to reach 8/3; the better of two of its candidates, 44/9.
+    assert order_lines(curves, False) == ["n = 1: steady, then lucky", "n = 2 to 3: lucky, then steady"]
+    assert order_lines(curves, True)[-1].endswith("steady, then lucky")
+    assert order_lines({"one": steady, "other": steady}, False) == ["n = 1 to 3: one = other"]
+    assert order_lines({"steady": steady}, False) == []

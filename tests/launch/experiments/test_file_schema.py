@@ -90,6 +90,8 @@ def test_the_examples_of_the_guide_are_accepted() -> None:
         ("preset", "{mappo: {algo: {kl_bound: 0.1}}}"),
         ("preset", "{mappo: {rollout: {stesp: 8}}}"),
         ("search", "{bases: []}"),
+        ("search", "{sampler: tep}"),
+        ("space", "{algorithms: ippo}"),
     ],
 )
 def test_other_mistakes_are_refused(kind: str, text: str) -> None:

@@ -14,6 +14,7 @@ from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.experiments.options import own_configs
 from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
 from headway_launch.experiments.search import read_search
+from headway_launch.experiments.search_space import corners
 from headway_launch.experiments.sweep import compose_sweep
 
 MINE = """
@@ -36,7 +37,13 @@ defaults:
 env_steps: 128
 """
 QUICK = "ippo: {algo: {lr: 0.002}, rollout: {copies: 4, block: 2}}\n"
-SEARCH = "base: [experiment=ours, seed=9]\ncells: {all: []}\ncandidates: {a: [algo.lr=1], b: [algo.lr=2]}\n"
+SEARCH = """\
+base: [experiment=ours]
+algorithms: {ippo: []}
+candidates: 2
+env_steps: 128
+space: {algo.lr: [1, 2]}
+"""
 
 
 def written(path: str, text: str) -> Path:
@@ -161,8 +168,8 @@ def test_a_folder_adds_to_all_commands_that_compose(
         experiment = compose(["experiment=ours"])
         assert (experiment.config.preset, lr(experiment)) == ("quick", 0.002)
         assert lr(compose(["env=trivial", "algo=ippo", "preset=quick"])) == 0.002
-        points = read_search("rates").points()
-        assert {lr(each) for each in points.values()} == {1.0, 2.0}
+        [part] = read_search("rates")
+        assert [lr(part.experiment(0, values)) for values in corners(part.space)] == [1.0, 2.0]
         swept = compose_sweep(["experiment=ours", "preset=quick,none"])
         assert [each.config.preset for each in swept] == ["quick", "none"]
     option = f"--config-dir={folder}"

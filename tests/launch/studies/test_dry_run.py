@@ -110,16 +110,29 @@ def _measured(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("_measured")
-@pytest.mark.parametrize("words", [("run", "env=trivial", "algo=ippo"), ("search", "toy_matrix")])
-def test_run_and_search_have_a_dry_run(
-    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_run_has_a_dry_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = tmp_path / "runs"
-    assert run([*words, "env_steps=2048", "energy=off", f"store.root={root}", "--dry-run"]) == 0
+    words = ("run", "env=trivial", "algo=ippo", "env_steps=2048", "energy=off", f"store.root={root}")
+    assert run([*words, "--dry-run"]) == 0
     shown = capsys.readouterr().out
     assert shown.startswith("cell\titeration\tseeds\truns\taction\n")
     assert "\ttrain\n" in shown
     assert "The estimate is from" in shown
+    assert not root.exists()
+
+
+@pytest.mark.usefixtures("_measured")
+def test_the_dry_run_of_a_search_tells_its_budget_and_cost(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("optuna", reason='Optuna is not installed: pip install "headway[search]"')
+    root = tmp_path / "runs"
+    assert run(["search", "toy_tracking", "energy=off", f"store.root={root}", "--dry-run"]) == 0
+    _, ippo, mappo, _, total, *_ = capsys.readouterr().out.splitlines()
+    steps = 8 * 2_048 + 4 * 2_048 + 2 * 4_096
+    assert ippo.split("\t")[:6] == ["ippo", "8", "0", "1", "8 to 2,048, 4 to 4,096, 2 to 8,192", str(steps)]
+    assert mappo.split("\t")[:6] == ["mappo", *ippo.split("\t")[1:6]]
+    assert total.startswith("16 jobs, ")
     assert not root.exists()
 
 

@@ -1,0 +1,278 @@
+"""Results of a search: the best candidates, what they cost, the expected best of n, and a preset."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from headway.config.experiment import NO_PRESET
+from headway.contracts.errors import HeadwayError
+from headway.stats.best_of import BestOf, expected_best
+from headway.store.atomic_files import make_folder, write_text
+from headway_launch.console.tables import Value, print_table, without_empty
+from headway_launch.experiments.compose import compose
+from headway_launch.experiments.options import own_configs
+from headway_launch.experiments.override_words import written
+from headway_launch.experiments.parameters import full_mapping
+from headway_launch.experiments.search import AlgorithmSearch
+from headway_launch.experiments.search_space import candidate_overrides
+from headway_launch.studies.search_session import Candidate, SearchSession
+
+if TYPE_CHECKING:
+    from headway.store.index import RunRow
+
+_LISTED = 3
+"""Candidates of each algorithm in the table."""
+_TUNED = ("algo.", "rollout.", "env.training_args", "env.wrappers")
+"""Beginnings of the overrides that a preset takes from the search file."""
+_TASK = ("experiment=", "env=", "env.args.", "stages=")
+"""Beginnings of the overrides that a preset leaves to the command."""
+
+
+@dataclass(frozen=True)
+class AlgorithmResult:
+    """The candidates of one algorithm, best first, and their runs."""
+
+    part: AlgorithmSearch
+    ranked: Sequence[Candidate]
+    """Those that were trained to the end, best first, and then the others, those with more steps first."""
+    unscored: int
+    """Number of candidates that failed."""
+    runs: Mapping[str, Sequence["RunRow"]]
+    """Runs by `Candidate.identity`."""
+
+    @property
+    def best(self) -> Candidate | None:
+        """The best of the candidates that were trained to the end; None if there is none."""
+        done = [each for each in self.ranked if each.trial.state == "COMPLETE"]
+        return done[0] if done else None
+
+    def steps_of(self, candidate: Candidate) -> int:
+        """Return the environment steps that a candidate was trained, over its seeds."""
+        return sum(row.env_steps for row in self.runs.get(candidate.identity, ()))
+
+    def total(self, column: str) -> float | None:
+        """Return the sum of a column of `RunRow` over all runs; None if none is known."""
+        runs = {row.run_id: row for rows in self.runs.values() for row in rows}
+        known = [value for row in runs.values() if (value := getattr(row, column)) is not None]
+        return sum(known) if known else None
+
+    @property
+    def expected_best(self) -> BestOf | None:
+        """Expected best of n of the candidates; one that failed counts as the worst. None without scores."""
+        scores = [each.trial.score for each in self.ranked if each.trial.score is not None]
+        if not scores:
+            return None
+        lower = self.part.search.lower_is_better
+        return expected_best([*scores, *[(max if lower else min)(scores)] * self.unscored], lower)
+
+
+def results_of(session: SearchSession) -> list[AlgorithmResult]:
+    """Return the results of all algorithms, as far as their candidates have ended."""
+    results = []
+    for part in session.parts:
+        candidates = session.candidates(part)
+        scored = [each for each in candidates if each.trial.score is not None]
+        sign = 1 if part.search.lower_is_better else -1
+
+        def rank(candidate: Candidate, sign: int = sign) -> tuple[int, float, int]:
+            assert candidate.trial.score is not None
+            return -max(candidate.trial.scores), sign * candidate.trial.score, candidate.trial.number
+
+        failed = sum(each.trial.state == "FAIL" for each in candidates)
+        results.append(AlgorithmResult(part, sorted(scored, key=rank), failed, session.runs_of(candidates)))
+    return results
+
+
+def print_results(results: Sequence[AlgorithmResult]) -> None:
+    """Print the best candidates, the cost of each algorithm and the expected best of n."""
+    search = results[0].part.search
+    rows: list[tuple[Value, ...]] = []
+    for result in results:
+        for candidate in result.ranked[:_LISTED]:
+            words = candidate_overrides(result.part.space, candidate.trial.values)
+            name = candidate.experiment.config.candidate.removeprefix("candidate ")
+            score, steps = candidate.trial.score, result.steps_of(candidate)
+            rows.append((result.part.label, name, score, steps, " ".join(map(_rounded, words))))
+    print_table(("algorithm", "candidate", "score", "steps", "settings"), rows, f"best by {search.curve}")
+    print()
+    costs: list[tuple[Value, ...]] = [
+        (
+            result.part.label,
+            f"{len(result.ranked) + result.unscored} of {result.part.candidates}",
+            sum(each.trial.state == "COMPLETE" for each in result.ranked),
+            result.unscored,
+            int(result.total("env_steps") or 0),
+            result.total("cpu_seconds"),
+            result.total("kwh"),
+        )
+        for result in results
+    ]
+    columns = ("algorithm", "candidates", "to the end", "failed", "steps", "CPU s", "kWh")
+    print_table(*without_empty(columns, costs, ("kWh",)), "spent")
+    curves = {result.part.label: best for result in results if (best := result.expected_best) is not None}
+    if curves:
+        print()
+        print_table(
+            ("candidates n", *curves), _best_of_rows(curves), "expected best of n, and its standard deviation"
+        )
+        for line in order_lines(curves, search.lower_is_better):
+            print(line)
+
+
+def _rounded(word: str) -> str:
+    """Return an override with four digits if it sets a fraction."""
+    key, _, value = word.partition("=")
+    try:
+        return word if value.lstrip("-").isdigit() else f"{key}={float(value):.4g}"
+    except ValueError:
+        return word
+
+
+def _best_of_rows(curves: Mapping[str, BestOf]) -> list[tuple[Value, ...]]:
+    most = max(len(best.mean) for best in curves.values())
+    shown = sorted({*(2**power for power in range(most.bit_length())), most})
+    return [
+        (
+            n,
+            *(
+                f"{best.mean[n - 1]:.4g} +- {best.std[n - 1]:.2g}" if n <= len(best.mean) else None
+                for best in curves.values()
+            ),
+        )
+        for n in shown
+    ]
+
+
+def order_lines(curves: Mapping[str, BestOf], lower_is_better: bool) -> list[str]:
+    """Return the order of algorithms by expected best of n, one line per span of n in which it stays."""
+    if len(curves) < 2:
+        return []
+    fewest = min(len(best.mean) for best in curves.values())
+    orders = [
+        _order({label: float(best.mean[n]) for label, best in curves.items()}, lower_is_better)
+        for n in range(fewest)
+    ]
+    lines, first = [], 0
+    for n in range(1, fewest + 1):
+        if n == fewest or orders[n] != orders[first]:
+            span = f"n = {first + 1}" if n == first + 1 else f"n = {first + 1} to {n}"
+            lines.append(f"{span}: {orders[first]}")
+            first = n
+    return lines
+
+
+def _order(scores: Mapping[str, float], lower_is_better: bool) -> str:
+    """Return the labels in the order of their scores, best first, equal ones joined by `=`."""
+    sign = 1 if lower_is_better else -1
+    first, *others = sorted(scores, key=lambda label: sign * scores[label])
+    text = first
+    for label in others:
+        text += f" = {label}" if scores[label] == scores[first] else f", then {label}"
+        first = label
+    return text
+
+
+def write_picture(results: Sequence[AlgorithmResult], path: Path) -> bool:
+    """Draw the expected best of n; return False if no candidate has a score."""
+    from headway.stats import plots
+    from headway_launch.console.output_files import write_figure
+
+    curves = {result.part.label: best for result in results if (best := result.expected_best) is not None}
+    if not curves:
+        return False
+    label = f"expected best {results[0].part.search.curve}"
+    title = f"{path.stem}: best of n candidates, with standard deviation"
+    write_figure(plots.best_of_n(curves, label, plots.colours(list(curves)), title), path)
+    return True
+
+
+def write_preset(results: Sequence[AlgorithmResult], path: Path, search: str) -> tuple[list[str], list[str]]:
+    """Write the preset with the best candidate of each algorithm.
+
+    Returns the names of its algorithms and lines on settings that experiments set over any preset.
+    """
+    import yaml
+
+    winners: dict[str, AlgorithmResult] = {}
+    for result in results:
+        if result.best is not None:
+            name = result.best.experiment.algo_name
+            winners[name] = min(winners.get(name, result), result, key=_loss)
+    if not winners:
+        raise HeadwayError("no candidate has been trained to the end yet: repeat the search to continue it")
+    values: dict[str, Any] = {}
+    bases = []
+    for name, result in winners.items():
+        assert result.best is not None
+        values[name] = _tuned(result, result.best)
+        bases.append(result.best.experiment.config.preset)
+    base = next((each for each in bases if each not in ("", NO_PRESET)), None)
+    make_folder(path.parent)
+    if base is not None:
+        values = {"defaults": [base, "_self_"], **values}
+    budget = winners[next(iter(winners))].part
+    comment = (
+        f"# Found by `headway search {search}`: the best of {budget.search.candidates} per algorithm, "
+        f"{budget.search.env_steps:,} steps each.\n"
+    )
+    write_text(path, comment + yaml.safe_dump(values, sort_keys=False))
+    notes = [line for name, result in winners.items() for line in _overridden(name, result, path)]
+    return list(winners), notes
+
+
+def _loss(result: AlgorithmResult) -> float:
+    assert result.best is not None
+    assert result.best.trial.score is not None
+    return result.best.trial.score * (1 if result.part.search.lower_is_better else -1)
+
+
+def _tuned(result: AlgorithmResult, best: Candidate) -> dict[str, Any]:
+    """Return what a preset sets for the best candidate, as nested mappings."""
+    words = (*result.part.overrides, *candidate_overrides(result.part.space, best.trial.values))
+    mapping = full_mapping(best.experiment, ())
+    nested: dict[str, Any] = {}
+    for word in words:
+        key = word.lstrip("+").partition("=")[0]
+        if key.startswith(_TUNED):
+            *path, last = key.split(".")
+            inner, value = nested, mapping
+            for part in path:
+                inner, value = inner.setdefault(part, {}), value[part]
+            inner[last] = value[last]
+    return nested
+
+
+def task_words(part: AlgorithmSearch) -> list[str]:
+    """Return the overrides that choose the task of a search: its experiment or environment."""
+    return [word for word in part.overrides if word.startswith(_TASK)]
+
+
+def _overridden(name: str, result: AlgorithmResult, path: Path) -> list[str]:
+    """Return lines on keys of the best candidate that its task sets itself, over any preset."""
+    assert result.best is not None
+    folder = str(path.parent.parent)
+    with own_configs(folder):
+        given = compose([*task_words(result.part), f"algo={name}", f"preset={path.stem}"])
+    lines = []
+    theirs, ours = (full_mapping(each, ()) for each in (given, result.best.experiment))
+    for key in _keys_of(_tuned(result, result.best)):
+        value, other = ours, theirs
+        for part in key.split("."):
+            value, other = value[part], other[part]
+        if value != other:
+            lines.append(
+                f"headway: {name}: the experiment sets {key} over any preset; add {key}={written(value)}"
+            )
+    return lines
+
+
+def _keys_of(nested: Mapping[str, Any], path: str = "") -> list[str]:
+    """Return the dotted keys of the values that a preset sets."""
+    keys = []
+    for key, value in nested.items():
+        if isinstance(value, Mapping) and value:
+            keys += _keys_of(value, f"{path}{key}.")
+        else:
+            keys.append(f"{path}{key}")
+    return keys

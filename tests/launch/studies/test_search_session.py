@@ -1,0 +1,192 @@
+"""Rungs continue the best candidates from their checkpoints; a killed search ends as any other."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from headway.contracts.errors import HeadwayError
+from headway.store.atomic_files import locked
+from headway.store.index import RunIndex
+from headway.store.parquet_log import read_rows
+from headway_launch.experiments.options import own_configs
+from headway_launch.experiments.search import read_search
+from headway_launch.runner.runner import EXIT_DONE, EXIT_STOPPED, Runner
+from headway_launch.studies.search_session import Candidate, SearchSession
+from headway_launch.studies.trials import Trials
+
+pytest.importorskip("optuna", reason='Optuna is not installed: pip install "headway[search]"')
+
+SEARCH = """
+base: [env=trivial, backend=serial, energy=off, rollout.copies=2, rollout.block=2, rollout.steps=16,
+       evaluation.every=32, evaluation.episodes=1, evaluation.final_episodes=1]
+algorithms: {ippo: [], ia2c: []}
+candidates: 4
+batch: 2
+env_steps: 128
+rungs: [64]
+space:
+  algo.lr: {low: 1.0e-4, high: 1.0e-1, log: true}
+"""
+States = dict[str, list[tuple[Any, ...]]]
+Opened = Callable[..., SearchSession]
+
+
+@pytest.fixture
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Opened:
+    """Open a session of `SEARCH` with overrides, in a folder of this name."""
+    (tmp_path / "search").mkdir()
+    (tmp_path / "search" / "small.yaml").write_text(SEARCH)
+
+    def open_session(folder: str, *overrides: str) -> SearchSession:
+        (tmp_path / folder).mkdir(exist_ok=True)
+        monkeypatch.chdir(tmp_path / folder)
+        with own_configs(str(tmp_path)):
+            return SearchSession(read_search("small", overrides))
+
+    return open_session
+
+
+def states(session: SearchSession) -> States:
+    return {
+        part.label: [
+            (each.trial.number, dict(each.trial.values), dict(each.trial.scores), each.trial.state)
+            for each in session.candidates(part)
+        ]
+        for part in session.parts
+    }
+
+
+class Untrained:
+    """In place of training: scores that are functions of values and steps, and a record of calls."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.trained: list[tuple[str, int, int]] = []
+        self.failing: set[tuple[str, int]] = set()
+        patch.setattr(SearchSession, "_train", lambda _, left, steps, debug: self.train(left, steps))
+        patch.setattr(SearchSession, "_scores", lambda _, left, steps: self.scores(left, steps))
+
+    def train(self, candidates: Sequence[Candidate], env_steps: int) -> int:
+        self.trained += [(each.part.label, each.trial.number, env_steps) for each in candidates]
+        return EXIT_DONE
+
+    def scores(self, candidates: Sequence[Candidate], env_steps: int) -> dict[tuple[str, int], float]:
+        names = {(each.part.label, each.trial.number): each for each in candidates}
+        return {
+            name: float(each.trial.values["algo.lr"]) * env_steps
+            for name, each in names.items()
+            if name not in self.failing
+        }
+
+
+@pytest.fixture
+def untrained(monkeypatch: pytest.MonkeyPatch) -> Untrained:
+    return Untrained(monkeypatch)
+
+
+def test_the_best_of_each_batch_are_continued(opened: Opened, untrained: Untrained) -> None:
+    session = opened("runs")
+    assert session.run() == EXIT_DONE
+    for label, candidates in states(session).items():
+        lr = [values["algo.lr"] for _, values, _, _ in candidates]
+        for pair in ((0, 1), (2, 3)):
+            best = max(pair, key=lr.__getitem__)
+            for number in pair:
+                state = "COMPLETE" if number == best else "PRUNED"
+                ends = (64, 128) if number == best else (64,)
+                assert candidates[number][2:] == ({end: lr[number] * end for end in ends}, state)
+                assert [steps for name, n, steps in untrained.trained if (name, n) == (label, number)] == [
+                    *ends
+                ]
+
+
+@pytest.mark.parametrize("sampler", ["random", "tpe"])
+@pytest.mark.usefixtures("untrained")
+def test_a_search_killed_anywhere_ends_as_one_that_was_not(
+    sampler: str, opened: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unkilled = opened("whole", f"sampler={sampler}")
+    assert unkilled.run() == EXIT_DONE
+    writes = {name: getattr(Trials, name) for name in ("draw", "report", "end")}
+    for place in (1, 5, 14):
+        count = 0
+
+        def killed(*arguments: Any, name: str, place: int = place) -> Any:  # noqa: ANN401 - any method
+            nonlocal count
+            count += 1
+            if count == place + 1:
+                raise KeyboardInterrupt
+            return writes[name](*arguments)
+
+        with monkeypatch.context() as patch:
+            for name in writes:
+                patch.setattr(Trials, name, lambda *arguments, name=name: killed(*arguments, name=name))
+            with pytest.raises(KeyboardInterrupt):
+                opened(f"killed {place}", f"sampler={sampler}").run()
+        again = opened(f"killed {place}", f"sampler={sampler}")
+        assert again.run() == EXIT_DONE
+        assert states(again) == states(unkilled)
+
+
+def test_failed_candidates_leave_the_search_unless_all_fail(opened: Opened, untrained: Untrained) -> None:
+    untrained.failing = {("ippo", 0), ("ippo", 2), ("ippo", 3)}
+    session = opened("runs")
+    assert session.run() == EXIT_DONE
+    assert [state for *_, state in states(session)["ippo"]] == ["FAIL", "COMPLETE", "FAIL", "FAIL"]
+    trained = len(untrained.trained)
+    assert opened("runs").run() == EXIT_DONE
+    assert len(untrained.trained) == trained
+    untrained.failing |= {(label, number) for label in ("ippo", "ia2c") for number in range(4)}
+    with pytest.raises(HeadwayError, match="all candidates of batch 1 of 2 have failed"):
+        opened("others").run()
+    untrained.failing = set()
+    assert opened("others").run() == EXIT_DONE
+
+
+@pytest.mark.usefixtures("untrained")
+def test_one_session_at_a_time_runs_a_search(opened: Opened) -> None:
+    session = opened("runs")
+    with (
+        locked(session.database.with_suffix(".lock"), 0.0, "tested"),
+        pytest.raises(HeadwayError, match=r"search_small\.lock stayed locked .* while this search was run"),
+    ):
+        session.run()
+
+
+@pytest.mark.slow
+def test_candidates_are_runs_of_the_store_and_no_step_is_trained_twice(
+    opened: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped after some sessions and continued, the search ends with the same scores and curves."""
+    whole = opened("whole")
+    assert whole.run() == EXIT_DONE
+    run, sessions = Runner.run, 0
+
+    def stopped(runner: Runner, report: bool = True) -> int:
+        nonlocal sessions
+        sessions += 1
+        return EXIT_STOPPED if sessions == 4 else run(runner, report)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Runner, "run", stopped)
+        assert opened("stopped").run() == EXIT_STOPPED
+    again = opened("stopped")
+    assert again.run() == EXIT_DONE
+    assert states(again) == states(whole)
+    curves = []
+    for session in (whole, again):
+        rows = RunIndex(session.root).rows("search_small")
+        assert sorted((row.algorithm, row.env_steps) for row in rows) == sorted(
+            (label, 128 if state == "COMPLETE" else 64)
+            for label, candidates in states(session).items()
+            for *_, state in candidates
+        )
+        assert {row.status for row in rows} == {"FINISHED", "KILLED"}
+        assert all(row.cpu_seconds for row in rows)
+        logged = {row.cell: read_rows(Path(row.directory), "curve") for row in rows}
+        assert all([each["iteration"] for each in log] == [*range(len(log))] for log in logged.values())
+        curves.append(
+            {cell: [each["evaluation_greedy/return"] for each in log] for cell, log in sorted(logged.items())}
+        )
+    assert curves[0] == curves[1]
