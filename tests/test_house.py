@@ -69,7 +69,10 @@ TESTS_OF = {
     "algos": "headway_algos",
     "launch": "headway_launch",
 }
-HEAVY = ("torch", "mlflow", "hydra", "omegaconf", "pandas", "numba", "pyarrow", "codecarbon", "matplotlib")
+HEAVY = (
+    "torch", "mlflow", "hydra", "omegaconf", "pandas", "numba", "pyarrow", "codecarbon", "matplotlib",
+    "optuna",
+)  # fmt: skip
 
 
 @cache

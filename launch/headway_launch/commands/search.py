@@ -44,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Train the candidates and print the results; return the exit code."""
+    from headway_launch.console.output import print_line
     from headway_launch.experiments.search import read_search
     from headway_launch.runner.runner import EXIT_DONE
     from headway_launch.studies.search_session import SearchSession
@@ -57,6 +58,8 @@ def execute(arguments: argparse.Namespace) -> int:
     code = EXIT_DONE if arguments.show else session.run(arguments.debug)
     if code == EXIT_DONE:
         _print(session, arguments.search)
+    else:
+        print_line("headway: stopped; the same command continues the search")
     return code
 
 

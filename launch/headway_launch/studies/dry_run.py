@@ -3,9 +3,11 @@
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from heapq import heapify, heapreplace
+from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
 
+from headway.config.experiment import ExperimentConfig
 from headway.contracts.errors import HeadwayError
 from headway.rollout.workers.usage import usable_cores
 from headway.store.index import RunIndex
@@ -118,16 +120,11 @@ def print_search_estimate(session: SearchSession, ended: Mapping[str, int]) -> i
     ]
     columns = ("algorithm", "candidates", "ended", "seeds", "of a batch, to step", "steps in all", "searched")
     print_table(columns, rows, f"study {session.config.study}")
-    left = {part.label: 1 - ended[part.label] / part.candidates for part in session.parts}
-    if not any(left.values()):
+    if all(ended[part.label] == part.candidates for part in session.parts):
         print_line("headway: nothing is left to train")
         return 0
     print(end="", flush=True)  # show the list during the calibration
-    first = [
-        candidate
-        for candidate in session.drawn(0)
-        if candidate.trial.number == 0 and left[candidate.part.label]
-    ]
+    first = [each for each in session.drawn(0) if each.trial.number == 0]
     progress = [StudyProgress.untouched(candidate.experiment) for candidate in first]
     cells = plan_cells(progress, [candidate.part.label for candidate in first])
     jobs = [job for cell in cells for job in cell.jobs]
@@ -137,19 +134,24 @@ def print_search_estimate(session: SearchSession, ended: Mapping[str, int]) -> i
     expected: list[Expectation] = []
     for candidate, cell in zip(first, cells, strict=True):
         part, config = candidate.part, candidate.experiment.config
-        # As many jobs as candidates, each of the mean length.
-        share = part.steps() / (part.candidates * search.seeds * search.env_steps)
-        number = round(part.candidates * left[part.label])
-        for job in cell.jobs:
-            each = paces[id(cell)].estimate(config, job.iteration)
-            shorter = Expectation(
-                each.seconds * share,
-                each.cpu_s * share,
-                *(None if used is None else used * share for used in (each.kwh, each.kg_co2)),
-            )
-            expected += [shorter] * number
+        ends = [0, *map(candidate.iteration_at, search.ends)]
+        costs = [_until(paces[id(cell)], config, *span) for span in pairwise(ends)]
+        for batch in part.batches:
+            if batch.stop > ended[part.label]:
+                for cost, count in zip(costs, search.left_at(len(batch)), strict=True):
+                    expected += [cost] * count * len(cell.jobs)
     _print_totals(expected, shares.parallel, list(paces.values()), modes, config.backend.name, {})
     return 0
+
+
+def _until(pace: Pace, config: ExperimentConfig, begin: int, end: int) -> Expectation:
+    """Return the expected cost of a job from iteration `begin` to `end`, where it pauses."""
+    whole, rest = pace.estimate(config, begin), pace.estimate(config, end)
+    if end >= config.iterations:
+        return whole
+    cpu_s = whole.cpu_s - rest.cpu_s + pace.cpu_start_s
+    energy = (None if each is None else cpu_s * each for each in (pace.kwh, pace.kg_co2))
+    return Expectation(whole.seconds - rest.seconds + pace.start_s, cpu_s, *energy)
 
 
 def _alike(cell: CellPlan) -> list[StoredRun]:

@@ -23,6 +23,10 @@ from headway_launch.studies.plan import StudyProgress, plan_cells
 from headway_launch.studies.session import require_all_ended
 from headway_launch.studies.trials import Trial, Trials
 
+_TRIES = 2
+"""Trainings of a candidate until it has failed. One may fail for a passing reason, such as a process of a
+session just killed that still writes."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -31,6 +35,11 @@ class Candidate:
     part: AlgorithmSearch
     trial: Trial
     experiment: Experiment
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """Label of its algorithm and its number."""
+        return self.part.label, self.trial.number
 
     @property
     def label(self) -> str:
@@ -125,13 +134,16 @@ class SearchSession:
                 f"{sum(candidate.part is part for candidate in left)} of {part.label}" for part in self.parts
             )
             print_line(f"headway: {name}, to step {env_steps:,}: candidates {counts}")
-            if (code := self._train(left, env_steps, debug)) != EXIT_DONE:
-                return code
-            scores = self._scores(left, env_steps)
+            waiting, scores = left, dict[tuple[str, int], float]()
+            for _ in range(_TRIES):
+                if waiting:
+                    if (code := self._train(waiting, env_steps, debug)) != EXIT_DONE:
+                        return code
+                    scores |= self._scores(waiting, env_steps)
+                    waiting = [each for each in waiting if each.key not in scores]
             for candidate in left:
-                key = candidate.part.label, candidate.trial.number
-                if (score := scores.get(key)) is None:
-                    states[key] = "FAIL"
+                if (score := scores.get(candidate.key)) is None:
+                    states[candidate.key] = "FAIL"
                 else:
                     self._trials[candidate.part.label].report(candidate.trial.number, env_steps, score)
             if not scores:
@@ -141,9 +153,9 @@ class SearchSession:
                 )
             kept = self._best(left, scores, rung)
             for candidate in left:
-                key = candidate.part.label, candidate.trial.number
-                if key in scores:
-                    states[key] = "COMPLETE" if env_steps == self.search.env_steps else "PRUNED"
+                if candidate.key in scores:
+                    last = env_steps == self.search.env_steps
+                    states[candidate.key] = "COMPLETE" if last else "PRUNED"
             left = kept
         for (label, number), state in states.items():
             self._trials[label].end(number, state)
@@ -195,7 +207,7 @@ class SearchSession:
             runs = _runs(StudyProgress.of(self.root, candidate.experiment, rows))
             score = self._score(candidate, runs, env_steps)
             if math.isfinite(score):
-                scores[candidate.part.label, candidate.trial.number] = score
+                scores[candidate.key] = score
         return scores
 
     def _score(self, candidate: Candidate, runs: Sequence[StoredRun], env_steps: int) -> float:

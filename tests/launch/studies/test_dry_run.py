@@ -132,7 +132,8 @@ def test_the_dry_run_of_a_search_tells_its_budget_and_cost(
     steps = 8 * 2_048 + 4 * 2_048 + 2 * 4_096
     assert ippo.split("\t")[:6] == ["ippo", "8", "0", "1", "8 to 2,048, 4 to 4,096, 2 to 8,192", str(steps)]
     assert mappo.split("\t")[:6] == ["mappo", *ippo.split("\t")[1:6]]
-    assert total.startswith("16 jobs, ")
+    # One job per candidate and rung; each starts a process.
+    assert total.startswith("28 jobs, ")
     assert not root.exists()
 
 

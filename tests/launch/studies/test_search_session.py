@@ -130,10 +130,13 @@ def test_a_search_killed_anywhere_ends_as_one_that_was_not(
 
 
 def test_failed_candidates_leave_the_search_unless_all_fail(opened: Opened, untrained: Untrained) -> None:
+    """After a second try."""
     untrained.failing = {("ippo", 0), ("ippo", 2), ("ippo", 3)}
     session = opened("runs")
     assert session.run() == EXIT_DONE
     assert [state for *_, state in states(session)["ippo"]] == ["FAIL", "COMPLETE", "FAIL", "FAIL"]
+    tries = [number for label, number, _ in untrained.trained if label == "ippo"]
+    assert [tries.count(number) for number in range(4)] == [2, 2, 2, 2]
     trained = len(untrained.trained)
     assert opened("runs").run() == EXIT_DONE
     assert len(untrained.trained) == trained
