@@ -4,7 +4,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import yaml
 
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import locked
@@ -13,6 +15,7 @@ from headway.store.parquet_log import read_rows
 from headway_launch.experiments.options import own_configs
 from headway_launch.experiments.search import read_search
 from headway_launch.runner.runner import EXIT_DONE, EXIT_STOPPED, Runner
+from headway_launch.studies.search_results import results_of, write_preset
 from headway_launch.studies.search_session import Candidate, SearchSession
 from headway_launch.studies.trials import Trials
 
@@ -145,6 +148,37 @@ def test_failed_candidates_leave_the_search_unless_all_fail(opened: Opened, untr
         opened("others").run()
     untrained.failing = set()
     assert opened("others").run() == EXIT_DONE
+
+
+def test_results_have_the_best_and_a_preset_with_it(
+    opened: Opened, untrained: Untrained, tmp_path: Path
+) -> None:
+    """Failed candidates count as the worst; what the experiment sets over any preset is named."""
+    untrained.failing = {("ippo", 1)}
+    session = opened("runs", "algo.gamma=0.5")
+    assert session.run() == EXIT_DONE
+    ippo, ia2c = results = results_of(session)
+    assert ippo.best is not None
+    assert ippo.best is ippo.ranked[0]
+    scores = [each.trial.score for each in ippo.ranked]
+    assert ippo.expected_best is not None
+    assert ippo.expected_best.mean[0] == pytest.approx(np.mean([*scores, min(scores)]))
+    assert ia2c.unscored == 0
+    path = session.database.parent / "preset" / "found.yaml"
+    assert write_preset(results, path, "small") == (["ippo", "ia2c"], [])
+    lr = ippo.best.trial.values["algo.lr"]
+    rollout = {"copies": 2, "block": 2, "steps": 16}
+    assert yaml.safe_load(path.read_text())["ippo"] == {"rollout": rollout, "algo": {"gamma": 0.5, "lr": lr}}
+    (tmp_path / "experiment").mkdir()
+    (tmp_path / "experiment" / "ours.yaml").write_text("env: trivial\nalgo: {lr: 0.5}\n")
+    text = (tmp_path / "search" / "small.yaml").read_text()
+    (tmp_path / "search" / "small.yaml").write_text(text.replace("env=trivial", "experiment=ours"))
+    session = opened("others")
+    assert session.run() == EXIT_DONE
+    with own_configs(str(tmp_path)):
+        _, notes = write_preset(results_of(session), tmp_path / "preset" / "found.yaml", "small")
+    assert len(notes) == 2
+    assert notes[0].startswith("headway: ippo: the experiment sets algo.lr over any preset; add algo.lr=")
 
 
 @pytest.mark.usefixtures("untrained")
