@@ -106,8 +106,8 @@ class SearchSession:
         return found
 
     def candidates(self, part: AlgorithmSearch) -> list[Candidate]:
-        """Return the candidates of an algorithm drawn so far."""
-        return [self._candidate(part, trial) for trial in self._trials[part.label].all()]
+        """Return the candidates of an algorithm drawn so far, within its budget."""
+        return [self._candidate(part, trial) for trial in self._trials[part.label].all()[: part.candidates]]
 
     def runs_of(self, candidates: Sequence[Candidate]) -> dict[str, tuple[RunRow, ...]]:
         """Return the runs of each candidate that has any, the best one per seed, by its `identity`."""

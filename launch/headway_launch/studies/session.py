@@ -25,13 +25,10 @@ class StudySession:
     cells: tuple[CellPlan, ...]
 
     @classmethod
-    def plan(
-        cls, experiments: Sequence[Experiment], labels: Sequence[str] | None = None, fresh: bool = False
-    ) -> "StudySession":
+    def plan(cls, experiments: Sequence[Experiment], fresh: bool = False) -> "StudySession":
         """Return the session that completes `experiments`.
 
-        `labels`: names of the cells; None: `cell_labels`. `fresh`: ignore stored runs. Raises HeadwayError if
-        a job cannot run.
+        `fresh`: ignore stored runs. Raises HeadwayError if a job cannot run.
         """
         config = experiments[0].config
         root = Path(config.store.root)
@@ -43,7 +40,7 @@ class StudySession:
             StudyProgress.untouched(experiment) if fresh else StudyProgress.of(root, experiment, rows)
             for experiment in experiments
         ]
-        return cls(tuple(experiments), tuple(progress), tuple(plan_cells(progress, labels)))
+        return cls(tuple(experiments), tuple(progress), tuple(plan_cells(progress)))
 
     def train(self, debug: bool = False) -> tuple[Runner, int]:
         """Train; return the runner and the exit code.
