@@ -18,8 +18,9 @@ from headway_algos.on_policy.updates.losses import A2CLoss
 
 LR = 3e-3
 """Adam's learning rate at the start of the imitation."""
-EPOCHS, MINIBATCHES = 20, 100
-"""Passes over the decisions of all iterations, and minibatches per pass."""
+EPOCHS, MINIBATCHES = 40, 400
+"""Passes over the decisions of all iterations, and minibatches per pass. Many small steps are needed, because
+decisions that matter can be rare, such as a bus's visits to the service centre."""
 SEQUENCE_EPOCHS, SEQUENCE_MINIBATCHES = 16, 8
 """Passes of recurrent policies over the sequences of each iteration, and minibatches per pass."""
 ENTROPY_COEFF = 0.3
