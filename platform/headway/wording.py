@@ -1,6 +1,7 @@
 """Wording shared by all printed output."""
 
 import re
+from collections.abc import Sequence
 
 _UNITS = {
     "minutes": ("min", "min"),
@@ -17,6 +18,17 @@ _UNITS = {
 def counted(count: int, what: str) -> str:
     """Return a count with its noun: `1 run`, `3 runs`."""
     return f"{count:,} {what}{'' if count == 1 else 's'}"
+
+
+def spans(numbers: Sequence[int]) -> str:
+    """Return ascending numbers as text, three or more consecutive ones shortened to a range: `0..3,7`."""
+    parts: list[list[int]] = []
+    for number in numbers:
+        if parts and number == parts[-1][-1] + 1:
+            parts[-1].append(number)
+        else:
+            parts.append([number])
+    return ",".join(f"{part[0]}..{part[-1]}" if len(part) > 2 else ",".join(map(str, part)) for part in parts)
 
 
 def environment_name(env_id: str) -> str:

@@ -3,7 +3,7 @@
 import pytest
 
 from headway.registry import env_entries
-from headway.wording import readable_metric
+from headway.wording import readable_metric, spans
 
 
 @pytest.mark.parametrize(
@@ -33,3 +33,9 @@ def test_every_metric_whose_name_ends_in_a_unit_states_it_in_its_description() -
 
 def test_a_description_without_a_unit_leaves_the_name() -> None:
     assert readable_metric("queue_m", "length of the queue, in vehicles") == "queue m"
+
+
+def test_consecutive_seeds_are_a_range() -> None:
+    assert spans([0, 1, 2, 3, 7]) == "0..3,7"
+    assert spans([4, 5]) == "4,5"
+    assert spans([3, 2, 1]) == "3,2,1"

@@ -4,19 +4,16 @@ import argparse
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from headway.config.experiment import StoreConfig
 from headway.config.schema import parse_seeds, suggestion
 from headway.contracts.errors import HeadwayError
+from headway.store.index import RunIndex, RunRow
 from headway.store.run_folder import STATUSES
 from headway_launch.console.tables import Value, print_table
 from headway_launch.runner.results import AUC_HEADING, CO2_HEADING
-
-if TYPE_CHECKING:
-    from headway.store.index import RunRow
 
 EXAMPLES = """\
 examples:
@@ -31,31 +28,15 @@ examples:
 The table has the columns that most readers want, and up to four settings in which runs of one study,
 environment, algorithm and preset differ; a line below it (on stderr, if piped) names the columns left out.
 Conditions are SQL expressions (and, or, not, in, between, like). They, --sort and --columns use the field
-names of --format csv, which has all columns, and dotted parameters such as algo.lr. A run can be named by any
-unique part of its name.
+names of --format csv, also cell, directory, host, pid and created, and dotted parameters such as algo.lr. A
+run can be named by any unique part of its name.
 The table rounds numbers; csv and json have field names and all digits; json has all parameters.
 AUC is normalised by the range of each run's own curve: it shows how early a run learns, not how well. A run
 evaluated fewer than three times has none; a flat curve has 0.5.
 """
 
-_FIELDS = (
-    "study",
-    "environment",
-    "algorithm",
-    "policies",
-    "preset",
-    "seed",
-    "status",
-    "iterations",
-    "env_steps",
-    "final_reward",
-    "auc",
-    "cpu_seconds",
-    "kwh",
-    "kg_co2",
-    "duration_s",
-    "run_id",
-)
+_FOR_COLUMNS_ONLY = ("cell", "directory", "host", "pid", "created")
+_FIELDS = tuple(item.name for item in fields(RunRow) if item.name not in _FOR_COLUMNS_ONLY)
 _IN_TABLE = (
     "run_id",
     "study",
@@ -112,7 +93,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Print the runs that pass the filters."""
-    from headway.store.index import RunIndex
     from headway_launch.studies.run_filter import filter_runs
 
     index = RunIndex(existing_store(arguments.store))
@@ -199,7 +179,7 @@ def _require_known(option: str, value: str | None, known: set[str]) -> None:
         raise HeadwayError(f"--{option} {value}: no run has this value; {suggestion(value, known)}")
 
 
-def _print_json(rows: Sequence["RunRow"], columns: str | None) -> None:
+def _print_json(rows: Sequence[RunRow], columns: str | None) -> None:
     import json
 
     from headway_launch.studies.run_filter import parameters_of
@@ -212,7 +192,7 @@ def _print_json(rows: Sequence["RunRow"], columns: str | None) -> None:
     print(json.dumps(listed, indent=1))
 
 
-def _print_csv(rows: Sequence["RunRow"], columns: str | None) -> None:
+def _print_csv(rows: Sequence[RunRow], columns: str | None) -> None:
     import csv
 
     names, values, _ = _table(rows, columns, _FIELDS)
@@ -221,7 +201,7 @@ def _print_csv(rows: Sequence["RunRow"], columns: str | None) -> None:
     writer.writerows(values)
 
 
-def _print_table(rows: Sequence["RunRow"], columns: str | None) -> None:
+def _print_table(rows: Sequence[RunRow], columns: str | None) -> None:
     names, values, settings = _table(rows, columns, _IN_TABLE)
     if columns:
         print_table(_headings(names), values, whole=_headings(("run_id", "status")))
@@ -248,7 +228,7 @@ def _print_table(rows: Sequence["RunRow"], columns: str | None) -> None:
 
 
 def _table(
-    rows: Sequence["RunRow"], columns: str | None, fields: Sequence[str]
+    rows: Sequence[RunRow], columns: str | None, fields: Sequence[str]
 ) -> tuple[list[str], list[list[Value]], list[str]]:
     """Return the names of the columns, the values of each run, and the names of varied settings."""
     from headway.store.cell_names import varied_settings
@@ -272,5 +252,5 @@ def _headings(fields: Sequence[str]) -> list[str]:
     return [_HEADINGS.get(name, name) for name in fields]
 
 
-def _values(row: "RunRow", names: Sequence[str], parameters: Mapping[str, Value]) -> list[Value]:
+def _values(row: RunRow, names: Sequence[str], parameters: Mapping[str, Value]) -> list[Value]:
     return [parameters.get(name) if "." in name else getattr(row, name) for name in names]

@@ -1,10 +1,10 @@
 """The section on what was trained and how it was evaluated."""
 
-from itertools import pairwise
 from typing import Any
 
 import pandas as pd
 
+from headway.wording import spans
 from headway_launch.report.elements import MISSING, Part, Section, Table
 from headway_launch.report.study_data import StudyData
 
@@ -22,7 +22,7 @@ def setup_section(data: StudyData) -> Section:
                 controller,
                 members[0].policies or MISSING,
                 members[0].preset or MISSING,
-                _seeds(seeds),
+                spans(seeds),
                 " or ".join(f"{number:,}" for number in steps),
             ]
         )
@@ -61,9 +61,3 @@ def _evaluation(data: StudyData, task: str) -> str:
         f"held-out episodes: {data.curve_episodes(task)} per point of the curves, "
         f"{data.last_episodes(task)} in the last evaluation{named}."
     )
-
-
-def _seeds(seeds: list[int]) -> str:
-    """Format as `0 to 9` or `0, 3, 4`."""
-    in_turn = all(second == first + 1 for first, second in pairwise(seeds))
-    return f"{seeds[0]} to {seeds[-1]}" if in_turn and len(seeds) > 2 else ", ".join(map(str, seeds))

@@ -12,7 +12,7 @@ from headway.contracts.errors import HeadwayError
 from headway.rollout.workers.usage import usable_cores
 from headway.store.index import RunIndex
 from headway.store.run_folder import Process, read_summary
-from headway.wording import counted, environment_name
+from headway.wording import counted, environment_name, spans
 from headway_launch.console.output import print_line
 from headway_launch.console.progress import duration
 from headway_launch.console.tables import Value, print_table, without_empty
@@ -210,17 +210,6 @@ def makespan(seconds: Sequence[float], parallel: int) -> float:
     for each in seconds:
         heapreplace(free, free[0] + each)
     return max(free)
-
-
-def spans(numbers: Sequence[int]) -> str:
-    """Return ascending numbers as text, three or more consecutive ones shortened to a range: `0..3,7`."""
-    parts: list[list[int]] = []
-    for number in numbers:
-        if parts and number == parts[-1][-1] + 1:
-            parts[-1].append(number)
-        else:
-            parts.append([number])
-    return ",".join(f"{part[0]}..{part[-1]}" if len(part) > 2 else ",".join(map(str, part)) for part in parts)
 
 
 def _iteration(cell: CellPlan) -> str:

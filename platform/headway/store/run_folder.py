@@ -257,10 +257,12 @@ def find_run(root: Path, run_id: str) -> Path:
 
 
 def first_runs(names: Sequence[str]) -> str:
-    """Return up to five runs for an error that asks for one of them: `a, b, c, d or e (12 in all)`."""
-    *most, last = sorted(names)[:_MAX_NAMED]
+    """Return the runs for an error that asks for one of them: `a, b or c`; the newest five if there are more:
+    `such as a, b, c, d or e (12 in all)`."""
+    newest = sorted(sorted(names), key=lambda name: name.split("-")[-3:-1], reverse=True)
+    *most, last = newest[:_MAX_NAMED]
     listed = f"{', '.join(most)} or {last}" if most else last
-    return f"{listed} ({len(names)} in all)" if len(names) > _MAX_NAMED else listed
+    return f"such as {listed} ({len(names)} in all)" if len(names) > _MAX_NAMED else listed
 
 
 def _slug(name: str) -> str:

@@ -127,10 +127,9 @@ def _keep_evaluated(algo: str, seed: int, points: tuple[int, ...] = (0, 64)) -> 
     for iteration, steps in enumerate(points):
         final = steps == points[-1]
         label = {"iteration": iteration, "env_steps": steps, "mode": "greedy", "final": int(final)}
-        days = range(4 if final else 2)
         played = [
-            {**label, "episode_seed": day, "return": steps + seed + day / 10, "mean_wait_min": 7}
-            for day in days
+            {**label, "episode_seed": episode, "return": steps + seed + episode / 10, "mean_wait_min": 7}
+            for episode in range(4 if final else 2)
         ]
         log.append("evaluation", [*played, {**played[0], "mode": "sampled", "return": -1.0}])
     log.commit(len(points))
@@ -149,7 +148,7 @@ def test_marl_eval_has_the_tree_that_the_package_documents() -> None:
         f"seed_{seed}": {
             "step_0": {"step_count": 0, "return": [seed, seed + 0.1], wait: [7, 7]},
             "step_1": {"step_count": 64, "return": [64 + seed, 64 + seed + 0.1], wait: [7, 7]},
-            "absolute_metrics": {"return": [64 + seed + day / 10 for day in range(4)], wait: [7] * 4},
+            "absolute_metrics": {"return": [64 + seed + episode / 10 for episode in range(4)], wait: [7] * 4},
         }
         for seed in (3, 4)
     }

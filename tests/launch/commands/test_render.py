@@ -193,10 +193,11 @@ def test_an_environment_whose_name_runs_have_is_told_with_those_runs(
     empty_folder: Path, refused: Refused
 ) -> None:
     for seed in range(7):
-        run = empty_folder / "runs" / "bus" / f"bus-ippo-s{seed}"
+        run = empty_folder / "runs" / "bus" / f"bus-ippo-s{9 - seed}-2026010{seed}-120000-ab"
         run.mkdir(parents=True)
         (run / "run.json").write_text("{}")
-    named = "bus-ippo-s0, bus-ippo-s1, bus-ippo-s2, bus-ippo-s3 or bus-ippo-s4 (7 in all)"
+    *most, last = (f"bus-ippo-s{9 - day}-2026010{day}-120000-ab" for day in (6, 5, 4, 3, 2))
+    named = f"such as {', '.join(most)} or {last} (7 in all)"
     line = f"bus is an environment; add --rule RULE (`headway list rules bus`), or name a run, {named}\n"
     assert refused("render", "bus").endswith(line)
     assert f"'ippo' is part of the names of 7 runs: name one, {named}" in refused("render", "ippo")

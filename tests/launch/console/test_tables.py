@@ -112,7 +112,7 @@ def test_runs_name_the_columns_left_out(store: Path, capsys: pytest.CaptureFixtu
     ]  # fmt: skip
     assert len(shown.splitlines()) == 2
     assert note == (
-        "columns left out: environment, policies, iterations, kg_co2 "
+        "columns left out: environment, policies, iterations, kg_co2, started "
         "(choose with --columns; --format csv has all)\n"
     )
     named = "environment,policies,iterations,kg_co2"

@@ -17,8 +17,8 @@ def test_policies_seeds_steps_and_episodes_are_named(keep_run: Callable[..., Pat
     table = tables(setup)["setup"]
     assert table.headings[0] == "controller"
     assert [(row[0], row[1], row[3], row[4]) for row in table.rows] == [
-        ("ia2c", "independent", "3, 5", "40"),
-        ("ippo", "independent", "0 to 2", "40"),
+        ("ia2c", "independent", "3,5", "40"),
+        ("ippo", "independent", "0..2", "40"),
     ]
     assert table.data["seed"].tolist() == [3, 5, 0, 1, 2]
     assert "2 episodes per point of the curves, 4 episodes in the last evaluation" in words(setup)

@@ -20,7 +20,7 @@ from headway_launch.runner.calibration import Pace
 from headway_launch.runner.cores import CoreShares
 from headway_launch.runner.jobs import CellPlan
 from headway_launch.runner.training_process import TrainingProcess
-from headway_launch.studies.dry_run import makespan, spans
+from headway_launch.studies.dry_run import makespan
 
 PACE = Pace(
     "a cell", 0.0, start_s=3.0, evaluation_s=2.0, cpu_start_s=4.0, marks=[(0.5, 1.0)] * 7,
@@ -188,12 +188,6 @@ def test_a_cell_without_runs_costs_as_much_per_step_as_runs_like_its_own(
     monkeypatch.setattr(paced, lambda cells, shares: ({id(cell): PACE for cell in cells}, ""))
     assert run([*longer, "algo.model.hidden=[8]"]) == 0
     assert "Estimated at" not in capsys.readouterr().out
-
-
-def test_consecutive_seeds_are_a_range() -> None:
-    assert spans([0, 1, 2, 3, 7]) == "0..3,7"
-    assert spans([4, 5]) == "4,5"
-    assert spans([3, 2, 1]) == "3,2,1"
 
 
 def test_iterations_are_measured_without_the_evaluations_between_them() -> None:
