@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from threading import Thread
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.commands.arguments import add_store_argument, existing_store
 from headway_launch.console.output import print_line
 from headway_launch.runner.scheduler import StopRequests
 

@@ -3,9 +3,8 @@
 import argparse
 import csv
 import json
-import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
@@ -15,22 +14,24 @@ from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.rollout.lookahead import is_lookahead
 from headway.wording import readable_metric
-from headway_launch.commands.run import add_config_dir_argument
-from headway_launch.commands.runs import (
+from headway_launch.commands.arguments import (
     OTHER_EVALUATION_SEED,
     add_best_argument,
+    add_config_dir_argument,
     add_store_argument,
     add_where_argument,
     existing_store,
     typed_line,
+    without_folders,
 )
+from headway_launch.console.tables import print_table
+from headway_launch.report.comparison_table import Comparison, ComparisonRow, comparison_table
+from headway_launch.report.latex_table import latex_table
+from headway_launch.report.markdown_page import markdown_table
 
 if TYPE_CHECKING:
     from headway.events import Row
-    from headway.stats.samples import Interval
-    from headway_launch.console.tables import Value
     from headway_launch.experiments.compose import Experiment
-    from headway_launch.report.elements import Table
     from headway_launch.runner.stored_run import StoredRun
 
 _MAX_DIFFERENCES = 3
@@ -83,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--format",
-        choices=("table", "json", "csv", "markdown", "latex"),
+        choices=_FORMATS,
         default="table",
         help="output format (default: table)",
     )
@@ -96,16 +97,12 @@ def execute(arguments: argparse.Namespace) -> int:
     """Evaluate and print the table."""
     from headway_launch.console.output import print_line
     from headway_launch.console.progress_display import CountedProgress
-    from headway_launch.console.tables import print_table
     from headway_launch.experiments.start_line import start_line
-    from headway_launch.report.latex_table import latex_table
-    from headway_launch.report.markdown_page import markdown_table
     from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
     from headway_launch.runner.comparison import (
         EPISODES_FOR_A_CLAIM,
         SEEDS_FOR_A_CLAIM,
         counting,
-        difference,
         few_episodes,
         few_seeds,
         gap_lines,
@@ -147,47 +144,16 @@ def execute(arguments: argparse.Namespace) -> int:
             ]
             for label, of_cell in policies.items()
         }
-
-    def minus_reference(by_seed: Sequence[Sequence["Row"]], metric: str) -> "Interval":
-        return difference(
-            [_values(of_seed, metric) for of_seed in by_seed], _values(rules[reference], metric)
-        )
-
-    rows: list[tuple[Value, ...]] = []
-    for metric in metrics:
-        for rule, of_rule in rules.items():
-            against = None if rule == reference else minus_reference([of_rule], metric)
-            rows.append(_row(metric, f"rule {rule}", 0, _mean(of_rule, metric), against))
-        for label, by_seed in played.items():
-            mean = sum(_mean(of_seed, metric) for of_seed in by_seed) / len(by_seed)
-            rows.append(_row(metric, label, len(by_seed), mean, minus_reference(by_seed, metric)))
-    columns = (
-        "metric",
-        "controller",
-        "seeds",
-        "mean",
-        f"minus {reference}",
-        "95% low",
-        "95% high",
-        "interval",
-    )
     mode = f", {arguments.mode}" if cells else ""
-    title = f"{subject.name}: {episodes} episodes of {found.spec.name}{mode}"
-    if arguments.format == "json":
-        print(json.dumps([dict(zip(columns, row, strict=True)) for row in rows], indent=1))
-    elif arguments.format == "csv":
-        csv.writer(sys.stdout, lineterminator="\n").writerows([columns, *rows])
-    elif arguments.format == "table":
-        print_table(columns, _rounded(rows), title=title)
-    else:
-        by_return = sorted(rules, key=lambda rule: -_mean(rules[rule], "return"))
-        words = {metric: readable_metric(metric, found.entry.metrics.get(metric, "")) for metric in metrics}
-        table = _page_table(title, rows, [*played, *(f"rule {rule}" for rule in by_return)], words, reference)
-        command = typed_line(arguments)
-        if arguments.format == "latex":
-            print(latex_table(table, command), end="")
-        else:
-            print(markdown_table(replace(table, caption=f"{table.caption} Written by `{command}`.")))
+    by_return = sorted(rules, key=lambda rule: -_mean(rules[rule], "return"))
+    comparison = Comparison(
+        f"{subject.name}: {episodes} episodes of {found.spec.name}{mode}",
+        reference,
+        {metric: readable_metric(metric, found.entry.metrics.get(metric, "")) for metric in metrics},
+        [*played, *(f"rule {rule}" for rule in by_return)],
+        _rows(metrics, rules, played, reference),
+    )
+    _FORMATS[arguments.format](comparison, typed_line(arguments))
     for label, members in cells.items():
         folders = [run.directory for run in members]
         return_metric = f"evaluation_{arguments.mode}/return"
@@ -225,7 +191,7 @@ def _subject(arguments: argparse.Namespace) -> _Subject:
         _require_for_rules(words)
         if arguments.best:
             raise HeadwayError("--best has no effect if rules are compared alone; omit it, or name a study")
-        return _Subject(" ".join(words), compose(words), {})
+        return _Subject(" ".join(map(without_folders, words)), compose(words), {})
     if arguments.overrides:
         raise HeadwayError(
             f"{arguments.overrides[0]!r}: a study is compared with its own configuration; omit this, "
@@ -311,81 +277,56 @@ def _values(episodes: Sequence["Row"], metric: str) -> list[float]:
 
 
 def _mean(episodes: Sequence["Row"], metric: str) -> float:
-    values = _values(episodes, metric)
-    return sum(values) / len(values)
+    return fmean(_values(episodes, metric))
 
 
-def _row(
-    metric: str, controller: str, seeds: int, mean: float, against: "Interval | None"
-) -> tuple["Value", ...]:
-    interval: tuple[Value, ...] = (None,) * 4
-    if against is not None:
-        interval = (against.estimate, against.low, against.high, against.method)
-    return (metric, controller, seeds or None, mean, *interval)
-
-
-def _rounded(rows: "Sequence[tuple[Value, ...]]") -> "list[tuple[Value, ...]]":
-    """Return the rows with numbers rounded to `_decimals`."""
-    decimals = _decimals(rows)
-    return [
-        tuple(
-            round(value, decimals[row[0]]) if isinstance(value, float) and row[0] in decimals else value
-            for value in row
-        )
-        for row in rows
-    ]
-
-
-def _decimals(rows: "Sequence[tuple[Value, ...]]") -> "dict[Value, int]":
-    """Return the decimals of each metric that show two significant digits of its narrowest interval."""
-    widths: dict[Value, float] = {}
-    for metric, *_, low, high, _ in rows:
-        if isinstance(low, float) and isinstance(high, float) and high > low:
-            widths[metric] = min(widths.get(metric, math.inf), high - low)
-    return {metric: 1 - math.floor(math.log10(width)) for metric, width in widths.items()}
-
-
-def _page_table(
-    title: str,
-    rows: "Sequence[tuple[Value, ...]]",
-    controllers: Sequence[str],
-    metrics: Mapping[str, str],
+def _rows(
+    metrics: Sequence[str],
+    rules: Mapping[str, Sequence["Row"]],
+    learned: Mapping[str, Sequence[Sequence["Row"]]],
     reference: str,
-) -> "Table":
-    """Return the rows as a table for a page or a paper: one row per controller, two columns per metric.
+) -> list[ComparisonRow]:
+    """Return the rows of a comparison. `rules`: episodes of each; `learned`: seeds x episodes of each."""
+    from headway_launch.runner.comparison import difference
 
-    `metrics`: their names in words.
-    """
-    import pandas as pd
+    controllers = {**{f"rule {rule}": [episodes] for rule, episodes in rules.items()}, **learned}
+    rows = []
+    for metric in metrics:
+        of_reference = _values(rules[reference], metric)
+        for name, by_seed in controllers.items():
+            values = [_values(of_seed, metric) for of_seed in by_seed]
+            row = ComparisonRow(
+                metric, name, len(values) if name in learned else None, fmean(map(fmean, values))
+            )
+            if name != f"rule {reference}":
+                found = difference(values, of_reference)
+                row = row._replace(
+                    difference=found.estimate, low=found.low, high=found.high, interval=found.method
+                )
+            rows.append(row)
+    return rows
 
-    from headway_launch.report.elements import MISSING, Table, formatted
 
-    decimals = _decimals(rows)
+def _print_csv(comparison: Comparison, _: str) -> None:
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerows([comparison.columns, *comparison.rows])
 
-    def number(metric: str, value: "Value", sign: str = "") -> str:
-        if not isinstance(value, float) or metric not in decimals:
-            return formatted(value) if isinstance(value, float) else MISSING
-        return f"{round(value, decimals[metric]):{sign},.{max(decimals[metric], 0)}f}"
 
-    cells = {(row[0], row[1]): row[2:] for row in rows}
-    shown: list[list[str]] = []
-    for controller in controllers:
-        seeds = cells[next(iter(metrics)), controller][0]
-        shown.append([controller, MISSING if seeds is None else str(seeds)])
-        for metric in metrics:
-            _, mean, estimate, low, high, _ = cells[metric, controller]
-            shown[-1].append(number(metric, mean))
-            interval = f" [{number(metric, low)}, {number(metric, high)}]" if low is not None else ""
-            shown[-1].append(number(metric, estimate, "+") + interval)
-    headings = [word for name in metrics.values() for word in (name, f"minus {reference} [95%]")]
-    learners = sum(not name.startswith("rule ") for name in controllers)
-    return Table(
-        "comparison",
-        f"{title}. Differences from the rule `{reference}` are paired by episode, with 95% intervals by "
-        "Student's t: over training seeds and episodes for several seeds, over episodes for one seed or a "
-        "rule.",
-        ["controller", "seeds", *headings],
-        shown,
-        pd.DataFrame(rows),
-        emphasised=frozenset(range(learners, len(controllers))),
-    )
+def _print_json(comparison: Comparison, _: str) -> None:
+    rows = [dict(zip(comparison.columns, row, strict=True)) for row in comparison.rows]
+    print(json.dumps(rows, indent=1))
+
+
+def _print_markdown(comparison: Comparison, command: str) -> None:
+    table = comparison_table(comparison)
+    print(markdown_table(replace(table, caption=f"{table.caption} Written by `{command}`.")))
+
+
+_FORMATS: Mapping[str, Callable[[Comparison, str], None]] = {
+    "table": lambda found, _: print_table(found.columns, found.rounded(), title=found.title),
+    "json": _print_json,
+    "csv": _print_csv,
+    "markdown": _print_markdown,
+    "latex": lambda found, command: print(latex_table(comparison_table(found), command), end=""),
+}
+"""Printers by the value of --format, of a comparison made by a command line."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.contracts.errors import HeadwayError
 from headway.wording import counted
-from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
+from headway_launch.commands.arguments import add_store_argument, add_where_argument, existing_store
 from headway_launch.console.output_files import write_error
 from headway_launch.console.progress_display import CountedProgress
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.commands.arguments import add_store_argument, existing_store
 
 if TYPE_CHECKING:
     from headway_launch.console.tables import Value

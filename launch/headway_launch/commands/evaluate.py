@@ -3,7 +3,7 @@
 import argparse
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import (
+from headway_launch.commands.arguments import (
     OTHER_EVALUATION_SEED,
     add_best_argument,
     add_store_argument,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import EnvironmentRaisedError, HeadwayError
-from headway_launch.commands.runs import add_best_argument, add_store_argument, existing_store
+from headway_launch.commands.arguments import add_best_argument, add_store_argument, existing_store
 from headway_launch.console.output_files import require_writable
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from headway.registry import (
     wrapper_entries,
     wrapper_entry,
 )
-from headway_launch.commands.run import add_config_dir_argument
+from headway_launch.commands.arguments import add_config_dir_argument
 from headway_launch.console.output import print_line
 from headway_launch.console.tables import print_table
 from headway_launch.experiments.options import config_file, options, summary_of

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.wording import readable_metric
-from headway_launch.commands.runs import add_store_argument, add_where_argument, existing_store
+from headway_launch.commands.arguments import add_store_argument, add_where_argument, existing_store
 from headway_launch.console.output_files import write_figure
 
 if TYPE_CHECKING:

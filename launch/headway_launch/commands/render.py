@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from headway.config.schema import nearest
 from headway.contracts.errors import HeadwayError
 from headway.wording import counted
-from headway_launch.commands.run import add_config_dir_argument
-from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.commands.arguments import add_config_dir_argument, add_store_argument, existing_store
 from headway_launch.console.output_files import require_writable, write_error
 from headway_launch.console.progress_display import CountedProgress
 

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import add_store_argument, existing_store, typed_line
+from headway_launch.commands.arguments import add_store_argument, existing_store, typed_line
 from headway_launch.report.report_files import FORMATS, write_report
 
 EXAMPLES = """\

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.commands.arguments import add_store_argument, existing_store
 
 if TYPE_CHECKING:
     from headway_launch.runner.jobs import CellPlan

@@ -2,6 +2,8 @@
 
 import argparse
 
+from headway_launch.commands.arguments import add_dry_run_argument, add_experiment_arguments
+
 EXAMPLES = """\
 examples:
   headway run experiment=bus_mappo
@@ -24,36 +26,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the experiment with its overrides, and the options."""
     add_experiment_arguments(parser)
     add_dry_run_argument(parser)
-
-
-def add_experiment_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what describes an experiment: a file, overrides, a folder of configurations."""
-    parser.add_argument(
-        "overrides",
-        metavar="[FILE.yaml] KEY=VALUE",
-        nargs="*",
-        help="an experiment's file, and overrides in Hydra's grammar",
-    )
-    add_config_dir_argument(parser)
-
-
-def add_config_dir_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --config-dir, shared by the commands that compose experiments."""
-    parser.add_argument(
-        "--config-dir",
-        metavar="FOLDER",
-        help="folder with more experiments, presets, searches and so on, in the same subfolders as configs/",
-    )
-
-
-def add_dry_run_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --dry-run, shared by the commands that train."""
-    parser.add_argument(
-        "--dry-run",
-        action="store_true",
-        help="list the runs and estimate time and energy, from finished runs like them or from a few "
-        "iterations; stores nothing",
-    )
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -1,17 +1,15 @@
 """`headway runs`: list the runs in the store."""
 
 import argparse
-import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
-from pathlib import Path
 
-from headway.config.experiment import StoreConfig
 from headway.config.schema import parse_seeds, suggestion
 from headway.contracts.errors import HeadwayError
 from headway.store.index import RunIndex, RunRow
 from headway.store.run_folder import STATUSES
+from headway_launch.commands.arguments import add_store_argument, add_where_argument, existing_store
 from headway_launch.console.tables import Value, print_table
 from headway_launch.runner.results import AUC_HEADING, CO2_HEADING
 
@@ -65,10 +63,6 @@ _HEADINGS = {
     "run_id": "run",
 }
 """Column headings that differ from the field's name, as in the results table that ends a run."""
-_FOLDERS = ("--store", "--output", "--config-dir")
-"""Options that name folders; argparse takes their beginnings too."""
-OTHER_EVALUATION_SEED = 2_000_003
-"""Root of the seeds of episodes that decide nothing during training."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -123,55 +117,6 @@ def execute(arguments: argparse.Namespace) -> int:
     else:
         _print_table(rows, arguments.columns)
     return 0
-
-
-def add_store_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --store, shared by the commands that read the store."""
-    root = StoreConfig.root
-    parser.add_argument("--store", default=root, help=f"folder of the store (default: {root})")
-
-
-def add_where_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --where, shared by the commands that choose runs of a study."""
-    parser.add_argument(
-        "--where",
-        action="append",
-        default=[],
-        metavar="CONDITION",
-        help="only runs for which this holds, such as 'final_reward>300'; repeatable",
-    )
-
-
-def add_best_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --best, shared by the commands that load policies."""
-    parser.add_argument(
-        "--best",
-        action="store_true",
-        help="the policy with the highest mean return in its training's evaluations (default: the newest)",
-    )
-
-
-def existing_store(folder: str) -> Path:
-    """Return the folder of a store. Raises HeadwayError if it does not exist."""
-    if not Path(folder).is_dir():
-        raise HeadwayError(
-            f"there is no store in {folder!r}; `headway run` creates one, --store selects another"
-        )
-    return Path(folder)
-
-
-def typed_line(arguments: argparse.Namespace) -> str:
-    """Return the command line as typed, without the options that name folders of this machine."""
-    kept: list[str] = []
-    words = iter(arguments.typed)
-    for word in words:
-        option, equals, _ = word.partition("=")
-        if len(option) > 2 and any(name.startswith(option) for name in _FOLDERS):
-            if not equals:
-                next(words, None)
-        else:
-            kept.append(word)
-    return shlex.join(["headway", *arguments.command.split(), *kept])
 
 
 def _require_known(option: str, value: str | None, known: set[str]) -> None:

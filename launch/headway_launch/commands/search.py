@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.run import add_config_dir_argument, add_dry_run_argument
+from headway_launch.commands.arguments import add_config_dir_argument, add_dry_run_argument
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -4,7 +4,7 @@ import argparse
 import shlex
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.run import add_dry_run_argument, add_experiment_arguments
+from headway_launch.commands.arguments import add_dry_run_argument, add_experiment_arguments
 
 _ALLOCATION = ("nodes", "cpus", "time", "partition")
 

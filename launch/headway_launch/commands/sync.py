@@ -3,7 +3,7 @@
 import argparse
 
 from headway.wording import counted
-from headway_launch.commands.runs import add_store_argument, existing_store
+from headway_launch.commands.arguments import add_store_argument, existing_store
 
 EXAMPLES = """\
 examples:

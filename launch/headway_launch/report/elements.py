@@ -26,8 +26,8 @@ class Table:
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     """Formatted cells; the first column names the row."""
-    data: "pd.DataFrame"
-    """Exact values, for the CSV."""
+    data: "pd.DataFrame | None" = None
+    """Values with all digits for its CSV; None if it has none."""
     words: frozenset[int] = frozenset({0})
     """Columns of text; the others hold numbers."""
     emphasised: frozenset[int] = frozenset()
@@ -38,6 +38,12 @@ class Table:
     def file(self, suffix: str) -> str:
         """Return the path of its file in the report's folder."""
         return f"tables/{self.name}.{suffix}"
+
+    @property
+    def exact(self) -> "pd.DataFrame":
+        """`data` of a table that has a CSV."""
+        assert self.data is not None
+        return self.data
 
 
 @dataclass(frozen=True)
@@ -97,15 +103,20 @@ def text_and_code(text: str) -> list[tuple[str, bool]]:
     return [(piece, place % 2 == 1) for place, piece in enumerate(text.split("`"))]
 
 
-def formatted(value: float | None) -> str:
-    """Format a number to four significant digits, whole parts in full; a dash if it is unknown."""
+def formatted(value: float | None, decimals: int | None = None, sign: str = "") -> str:
+    """Format a number to `decimals`, or to four significant digits, whole parts in full; a dash if unknown.
+
+    `sign` is "+" to write that of positive numbers and of zero; zero is never negative.
+    """
     if value is None or not math.isfinite(value):
         return MISSING
+    if decimals is not None:
+        return f"{round(value, decimals):{sign}z,.{max(decimals, 0)}f}"
     if value == int(value) and abs(value) < 1e15:
-        return f"{int(value):,}"
+        return f"{int(value):{sign},}"
     if abs(value) < 1e-4:
-        return f"{value:.{_DIGITS - 1}e}"
-    return f"{value:,.{max(_DIGITS - 1 - math.floor(math.log10(abs(value))), 0)}f}"
+        return f"{value:{sign}.{_DIGITS - 1}e}"
+    return formatted(value, max(_DIGITS - 1 - math.floor(math.log10(abs(value))), 0), sign)
 
 
 def with_deviation(mean: float, deviation: float, decimals: int | None = None) -> str:
@@ -115,8 +126,8 @@ def with_deviation(mean: float, deviation: float, decimals: int | None = None) -
     if decimals is None:
         decimals = _decimals(deviation if math.isfinite(deviation) else 0.0, mean)
     if not math.isfinite(deviation):
-        return f"{mean:,.{decimals}f}"
-    return f"{mean:,.{decimals}f} ± {deviation:,.{decimals}f}"
+        return formatted(mean, decimals)
+    return f"{formatted(mean, decimals)} ± {formatted(deviation, decimals)}"
 
 
 def with_interval(estimate: float, low: float, high: float, sign: bool = False) -> str:
@@ -125,9 +136,9 @@ def with_interval(estimate: float, low: float, high: float, sign: bool = False) 
         return MISSING
     plus = "+" if sign else ""
     if not (math.isfinite(low) and math.isfinite(high)):
-        return f"{estimate:{plus},.{_decimals(0.0, estimate)}f}"
+        return formatted(estimate, _decimals(0.0, estimate), plus)
     decimals = _decimals(high - low, estimate)
-    return f"{estimate:{plus},.{decimals}f} [{low:,.{decimals}f}, {high:,.{decimals}f}]"
+    return f"{formatted(estimate, decimals, plus)} [{formatted(low, decimals)}, {formatted(high, decimals)}]"
 
 
 def scale_of(largest: float, unit: str) -> tuple[str, float]:

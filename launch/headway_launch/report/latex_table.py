@@ -20,10 +20,12 @@ _ESCAPES = {
     "\N{SUPERSCRIPT TWO}": r"\textsuperscript{2}",
 }
 _MINUS = re.compile(r"(?<![\w.-])-(?=\d)")
+_SMALL = re.compile(r"(?:\$(-)\$|(\+))?(?<![\w.])(\d\.\d+)e-0*(\d+)\b")
+"""Numbers as `elements.formatted` writes them below 1e-4, with the sign in LaTeX."""
 _BREAK = "\0"
 _COMMENT_WIDTH = 100
 _LONG_TEXT = 40
-"""Characters from which on text is wrapped in its cell."""
+"""Characters from which on text with spaces is wrapped in its cell."""
 _FEWEST_PER_LINE = 12
 """Characters per line of a wrapped heading, at least."""
 
@@ -57,15 +59,16 @@ def latex_table(table: Table, command: str) -> str:
 
 
 def latex(text: str) -> str:
-    """Escape text for LaTeX; the hyphen before a number becomes a minus."""
+    """Escape text for LaTeX; the hyphen before a number becomes a minus, and e-05 a power of 10."""
     with_minus = _MINUS.sub("\N{MINUS SIGN}", " ".join(text.split()))
-    return "".join(_ESCAPES.get(char, char) for char in with_minus).replace("\N{MINUS SIGN}", "$-$")
+    escaped = "".join(_ESCAPES.get(char, char) for char in with_minus).replace("\N{MINUS SIGN}", "$-$")
+    return _SMALL.sub(r"$\1\2\3 \\times 10^{-\4}$", escaped)
 
 
 def _column(cells: Sequence[str], is_text: bool) -> str:
     if not is_text:
         return "r"
-    return r"p{0.5\linewidth}" if max(map(len, cells), default=0) > _LONG_TEXT else "l"
+    return r"p{0.5\linewidth}" if any(len(cell) > _LONG_TEXT and " " in cell for cell in cells) else "l"
 
 
 def _heading(heading: str, width: int, is_text: bool) -> str:

@@ -138,13 +138,13 @@ def _wrapped(line: str) -> str:
 
 
 def _reason(run: RunRow) -> str:
-    """Return the last line of a failed run's traceback."""
+    """Return the last line of a failed run's traceback, without backquotes, which would make it code."""
     path = Path(run.directory) / TRACEBACK
     try:
         lines = path.read_text(encoding="utf-8").strip().splitlines() if path.is_file() else []
     except (OSError, UnicodeDecodeError):
         return "no traceback stored"
-    return lines[-1] if lines else "no traceback stored"
+    return lines[-1].replace("`", "'") if lines else "no traceback stored"
 
 
 def _values(column: "pd.Series[Any]") -> str:

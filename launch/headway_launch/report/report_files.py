@@ -16,27 +16,37 @@ _DOTS_PER_INCH = 200
 
 
 @dataclass(frozen=True)
-class ReportFormat:
-    """What a report is written as. An empty suffix: no such files."""
+class Page:
+    """The page of a report."""
 
-    page: str = ""
-    """Name of the page; empty: there is none, nor are there listings."""
-    render: Callable[[Report], str] = html
-    tables: str = ""
-    pictures: str = ""
+    name: str
+    render: Callable[[Report], str]
     note: str = ""
-    """End of the page's footer."""
+    """End of its footer."""
+
+
+@dataclass(frozen=True)
+class ReportFormat:
+    """What a report is written as."""
+
+    page: Page | None = None
+    """Without a page there are no listings."""
+    tables: str = ""
+    """Suffix of the tables' files; empty: there are none."""
+    pictures: str = ""
 
 
 FORMATS: Mapping[str, ReportFormat] = {
     "html": ReportFormat(
-        "report.html",
-        html,
+        Page(
+            "report.html",
+            html,
+            " Beside this page are its tables as CSV (with all digits) and its pictures as PNG.",
+        ),
         "csv",
         "png",
-        " Beside this page are its tables as CSV (with all digits) and its pictures as PNG.",
     ),
-    "markdown": ReportFormat("report.md", markdown, pictures=PICTURES),
+    "markdown": ReportFormat(Page("report.md", markdown), pictures=PICTURES),
     "latex": ReportFormat(tables="tex", pictures="pdf"),
     "csv": ReportFormat(tables="csv"),
 }
@@ -47,32 +57,27 @@ def write_report(report: Report, folder: Path, chosen: ReportFormat) -> Path:
     """Write the page and its parts into `folder`, created if needed; return the path of the page, or the
     folder if there is none.
 
-    Files of an earlier report that this one does not write are kept and listed. Raises HeadwayError if the
+    Files of an earlier report that this one has in no format are kept and listed. Raises HeadwayError if the
     folder cannot be written.
     """
-    written: set[Path] = set()
+    parts = [part for section in report.sections for part in section.body]
+    path = folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for part in (part for section in report.sections for part in section.body):
+        for part in parts:
             if name := _file_of(part, chosen):
                 _write_part(part, report.command, folder / name)
-                written.add(folder / name)
-        page = folder / chosen.page
-        if chosen.page:
-            text = chosen.render(replace(report, footer=report.footer + chosen.note))
-            page.write_text(text, encoding="utf-8")
+        if page := chosen.page:
+            path = folder / page.name
+            text = page.render(replace(report, footer=report.footer + page.note))
+            path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise write_error("--output", folder, error) from error
-    suffixes = {path.suffix for path in written}
-    others = sorted(
-        str(path.relative_to(folder))
-        for name in _PARTS
-        for path in (folder / name).glob("*")
-        if path not in written and path.suffix in suffixes
-    )
-    if others:
-        print_line(f"files of an earlier report kept in {folder}: {', '.join(others)}")
-    return page
+    known = {_file_of(part, each) for part in parts for each in FORMATS.values()}
+    present = {str(each.relative_to(folder)) for name in _PARTS for each in (folder / name).glob("*")}
+    if others := sorted(present - known):
+        print_line(f"kept in {folder}, but not of this report: {', '.join(others)}")
+    return path
 
 
 def _file_of(part: Part, chosen: ReportFormat) -> str:
@@ -93,8 +98,8 @@ def _file_of(part: Part, chosen: ReportFormat) -> str:
 def _write_part(part: Part, command: str, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     match part:
-        case Table(data=data) if path.suffix == ".csv":
-            data.to_csv(path, index=False)
+        case Table() if path.suffix == ".csv":
+            part.exact.to_csv(path, index=False)
         case Table():
             path.write_text(latex_table(part, command), encoding="utf-8")
         case Picture(figure=figure):

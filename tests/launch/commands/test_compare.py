@@ -63,10 +63,9 @@ def test_a_table_for_a_page_has_a_row_per_controller(form: str, capsys: pytest.C
     asked = ["compare", *GAME, "--episodes", "4", "--metrics", "return,distance"]
     assert run([*asked, "--format", "json"]) == 0
     exact = {(row["metric"], row["controller"]): row for row in json.loads(capsys.readouterr().out)}
-    assert run([*asked, "--format", form, "--store", "elsewhere"]) == 0
+    assert run([*asked, "--format", form, "--store", "/lab/runs"]) == 0
     shown = capsys.readouterr().out
-    assert f"{shlex.join(['headway', *asked])} --format {form}" in " ".join(shown.split())
-    assert "elsewhere" not in shown
+    assert f"{shlex.join(['headway', *asked])} --format {form} --store FOLDER/runs" in " ".join(shown.split())
     ends = {"markdown": ("|", " |"), "latex": ("&", r" \\")}[form]
     lines = [line for line in shown.splitlines() if line.endswith(ends[1])]
     cells = [[cell.strip() for cell in line.strip("|\\ ").split(ends[0])] for line in lines]

@@ -1,6 +1,5 @@
 """`headway runs` and `headway diff`: conditions, order, two runs beside each other."""
 
-import argparse
 import csv
 import io
 import json
@@ -14,7 +13,6 @@ from command_lines import Refused, RowsOf
 from headway.store.parquet_log import RunLog
 from headway.store.run_folder import Process, RunRecord, create_run_folder, now
 from headway_launch.commands.main import run
-from headway_launch.commands.runs import typed_line
 
 REWARDS = {0: 310.0, 1: 355.5, 2: None, 3: 290.0}
 
@@ -183,15 +181,3 @@ def test_two_runs_beside_each_other(store: Path, rows_of: RowsOf) -> None:
 
 def test_a_run_beside_one_that_is_not_there(store: Path, refused: Refused) -> None:
     assert "no run 'nothing'" in refused("diff", "ippo-1f2e3d-s0", "nothing", "--store", str(store))
-
-
-@pytest.mark.parametrize(
-    ("typed", "line"),
-    [
-        (["bus", "--store", "/lab/runs", "--format", "latex"], "headway report bus --format latex"),
-        (["--out=/lab/a b", "bus", "--sto", "x", "--low", "-3"], "headway report bus --low -3"),
-        (["--metric", "a b", "--", "bus"], "headway report --metric 'a b' -- bus"),
-    ],
-)
-def test_a_command_line_to_show_names_no_folder_of_the_machine(typed: list[str], line: str) -> None:
-    assert typed_line(argparse.Namespace(command="report", typed=typed)) == line

@@ -2,7 +2,6 @@
 
 import re
 
-import pandas as pd
 import pytest
 
 from headway_launch.report.elements import MISSING, Table
@@ -37,6 +36,11 @@ def test_a_minus_is_no_hyphen_and_a_hyphen_no_minus() -> None:
     assert latex("multi-agent, 1e-05, a-1") == "multi-agent, 1e-05, a-1"
 
 
+def test_small_numbers_have_powers_of_ten() -> None:
+    assert latex("-8.396e-05") == r"$-8.396 \times 10^{-5}$"
+    assert latex("+1.200e-12 [v1.2e-5]") == r"$+1.200 \times 10^{-12}$ [v1.2e-5]"
+
+
 def rows(source: str) -> list[list[str]]:
     """Return the cells of the outer tabular's rows."""
     body = source.partition("\\toprule\n")[2].partition("\\bottomrule")[0]
@@ -51,12 +55,11 @@ def test_every_row_has_a_cell_per_column_and_a_rule_sets_the_classical_rules_apa
         "Mean ± standard deviation.",
         ["controller", "a & b", "conclusion"],
         [
-            ["ippo", "-1", "x" * 41],
+            ["ippo" * 11, "-1", "x " * 21 + "x"],
             ["rule r_1", "[2]", "100% & more"],
             ["rule r_2", "3", ""],
             ["coma", "4", ""],
         ],
-        pd.DataFrame(),
         words=frozenset({0, 2}),
         emphasised=frozenset({1, 2}),
     )
@@ -73,7 +76,7 @@ def test_every_row_has_a_cell_per_column_and_a_rule_sets_the_classical_rules_apa
 
 def test_long_headings_are_stacked_and_no_line_is_taken_for_the_space_after_a_row() -> None:
     r"""LaTeX reads `\\ [95%]` as a row with that much space after it."""
-    table = Table("t", "", ["difference from the [95% interval]", "*"], [["[x]", "1"]], pd.DataFrame())
+    table = Table("t", "", ["difference from the [95% interval]", "*"], [["[x]", "1"]])
     source = latex_table(table, "")
     assert r"\begin{tabular}[b]{@{}l@{}}difference \\ from the \\ {}[95\% \\ interval]\end{tabular}" in source
     assert not re.search(r"\\\\\s*[\[*]", source)

@@ -76,7 +76,7 @@ def report_table(report: Report, name: str) -> Table:
 
 
 def table(report: Report, name: str) -> pd.DataFrame:
-    return report_table(report, name).data
+    return report_table(report, name).exact
 
 
 def two_algorithms(keep_run: Keep, **more: float) -> None:

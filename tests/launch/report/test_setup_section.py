@@ -20,6 +20,6 @@ def test_policies_seeds_steps_and_episodes_are_named(keep_run: Callable[..., Pat
         ("ia2c", "independent", "3,5", "40"),
         ("ippo", "independent", "0..2", "40"),
     ]
-    assert table.data["seed"].tolist() == [3, 5, 0, 1, 2]
+    assert table.exact["seed"].tolist() == [3, 5, 0, 1, 2]
     assert "2 episodes per point of the curves, 4 episodes in the last evaluation" in words(setup)
     assert words(setup).endswith("the rules `optimal`, `random`.")

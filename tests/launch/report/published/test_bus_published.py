@@ -36,7 +36,7 @@ def test_training_rewards_are_summed_over_buses_and_ranked(keep_run: Keep, root:
             energy = {"kwh": kwh, "kg_co2": kwh / 10}
             keep_run((TABLE3, f"algo={algorithm}"), seed, final + seed, rules=RULES, energy=energy)
     found = section(root)
-    rows = tables(found)["busenv_table3"].data.set_index("algorithm")
+    rows = tables(found)["busenv_table3"].exact.set_index("algorithm")
     assert rows.loc["maa2c", "final_reward"] == pytest.approx(5 * 16.5 / 2)
     assert rows.loc["maa2c", "final_reward_published"] == 77.41
     assert rows["final_reward_rank"].to_dict() == {"maa2c": 1.0, "ippo": 2.0, "coma": 3.0}
@@ -45,7 +45,7 @@ def test_training_rewards_are_summed_over_buses_and_ranked(keep_run: Keep, root:
     assert len(set(headings)) == len(headings)
     caption = tables(found)["busenv_table3"].caption
     assert "published ranks are among all 9 algorithms, ours among the 3 of this table" in caption
-    ranks = tables(found)["busenv_ranks"].data.set_index("metric")
+    ranks = tables(found)["busenv_ranks"].exact.set_index("metric")
     assert ranks.loc["final_reward", ["spearman", "kendall"]].tolist() == pytest.approx([1.0, 1.0])
     assert ranks.loc["kwh", "spearman"] == pytest.approx(1.0)
     assert ranks.loc["auc", "algorithms"] == 3
@@ -69,7 +69,7 @@ def test_seeds_without_a_value_are_counted(keep_run: Keep, root: Path) -> None:
     for seed, trained in enumerate(((0, 2, 4), (1, 3), ())):
         keep_run((TABLE3, "algo=ippo"), seed, 10.0, trained=trained)
     found = section(root)
-    ippo = tables(found)["busenv_table3"].data.set_index("algorithm").loc["ippo"]
+    ippo = tables(found)["busenv_table3"].exact.set_index("algorithm").loc["ippo"]
     assert ippo[["seeds", "final_reward_seeds", "auc_seeds"]].tolist() == [3, 2, 1]
     said = words(found)
     assert (
@@ -86,7 +86,7 @@ def test_two_algorithms_or_two_settings_of_one_have_no_correlation(keep_run: Kee
         keep_run((TABLE3, *overrides), 0, 10.0)
     found = section(root)
     assert len(tables(found)["busenv_table3"].rows) == 3
-    assert tables(found)["busenv_ranks"].data["spearman"].isna().all()
+    assert tables(found)["busenv_ranks"].exact["spearman"].isna().all()
     said = words(found)
     assert "trained with several settings: ippo." in said
     assert "No rank correlation is given for final reward, AUC, energy per run: it needs at least 3" in said

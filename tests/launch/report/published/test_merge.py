@@ -52,7 +52,7 @@ def test_change_with_a_second_lane_is_welch_s_difference(keep_run: Keep, root: P
     shown = tables(section(root))["scaling"]
     [maacktr, mappo] = shown.rows
     expected = stats.ttest_ind(two, one, equal_var=False).confidence_interval()
-    figures = shown.data.set_index("controller").loc[mappo[0]]
+    figures = shown.exact.set_index("controller").loc[mappo[0]]
     assert figures["reward"] == pytest.approx(-10.0)
     assert [figures["reward_low"], figures["reward_high"]] == [pytest.approx(each) for each in expected]
     assert figures["crash_rate"] == pytest.approx(0.2)

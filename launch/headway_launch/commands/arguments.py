@@ -1,0 +1,89 @@
+"""Arguments that several commands take."""
+
+import argparse
+import re
+import shlex
+from pathlib import Path
+
+from headway.config.experiment import StoreConfig
+from headway.contracts.errors import HeadwayError
+
+OTHER_EVALUATION_SEED = 2_000_003
+"""Root of the seeds of episodes that decide nothing during training."""
+_FOLDERS = re.compile(r"(?<![^=,:\[{])~?/(?:[^/,\]}]+/)*")
+
+
+def add_experiment_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what describes an experiment: a file, overrides, a folder of configurations."""
+    parser.add_argument(
+        "overrides",
+        metavar="[FILE.yaml] KEY=VALUE",
+        nargs="*",
+        help="an experiment's file, and overrides in Hydra's grammar",
+    )
+    add_config_dir_argument(parser)
+
+
+def add_config_dir_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --config-dir, shared by the commands that compose experiments."""
+    parser.add_argument(
+        "--config-dir",
+        metavar="FOLDER",
+        help="folder with more experiments, presets, searches and so on, in the same subfolders as configs/",
+    )
+
+
+def add_dry_run_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --dry-run, shared by the commands that train."""
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="list the runs and estimate time and energy, from finished runs like them or from a few "
+        "iterations; stores nothing",
+    )
+
+
+def add_store_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --store, shared by the commands that read the store."""
+    root = StoreConfig.root
+    parser.add_argument("--store", default=root, help=f"folder of the store (default: {root})")
+
+
+def add_where_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --where, shared by the commands that choose runs of a study."""
+    parser.add_argument(
+        "--where",
+        action="append",
+        default=[],
+        metavar="CONDITION",
+        help="only runs for which this holds, such as 'final_reward>300'; repeatable",
+    )
+
+
+def add_best_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --best, shared by the commands that load policies."""
+    parser.add_argument(
+        "--best",
+        action="store_true",
+        help="the policy with the highest mean return in its training's evaluations (default: the newest)",
+    )
+
+
+def existing_store(folder: str) -> Path:
+    """Return the folder of a store. Raises HeadwayError if it does not exist."""
+    if not Path(folder).is_dir():
+        raise HeadwayError(
+            f"there is no store in {folder!r}; `headway run` creates one, --store selects another"
+        )
+    return Path(folder)
+
+
+def typed_line(arguments: argparse.Namespace) -> str:
+    """Return the command line as typed, for a page: without the folders of absolute paths."""
+    return shlex.join(["headway", *arguments.command.split(), *map(without_folders, arguments.typed)])
+
+
+def without_folders(word: str) -> str:
+    """Return a word of a command line with `FOLDER` for the folders of the absolute paths in it:
+    `env.args.scenario=FOLDER/mine`."""
+    return _FOLDERS.sub("FOLDER/", word)
