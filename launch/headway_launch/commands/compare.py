@@ -5,7 +5,7 @@ import csv
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
@@ -82,12 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--metrics", default="return", help="metrics to compare, comma-separated (default: return)"
     )
-    parser.add_argument(
-        "--format",
-        choices=_FORMATS,
-        default="table",
-        help="output format (default: table)",
-    )
+    parser.add_argument("--format", choices=_FORMATS, default="table", help="output format (default: table)")
     add_where_argument(parser)
     add_config_dir_argument(parser)
     add_store_argument(parser)
@@ -307,26 +302,13 @@ def _rows(
     return rows
 
 
-def _print_csv(comparison: Comparison, _: str) -> None:
-    writer = csv.writer(sys.stdout, lineterminator="\n")
-    writer.writerows([comparison.columns, *comparison.rows])
-
-
-def _print_json(comparison: Comparison, _: str) -> None:
-    rows = [dict(zip(comparison.columns, row, strict=True)) for row in comparison.rows]
-    print(json.dumps(rows, indent=1))
-
-
-def _print_markdown(comparison: Comparison, command: str) -> None:
-    table = comparison_table(comparison)
-    print(markdown_table(replace(table, caption=f"{table.caption} Written by `{command}`.")))
-
-
 _FORMATS: Mapping[str, Callable[[Comparison, str], None]] = {
     "table": lambda found, _: print_table(found.columns, found.rounded(), title=found.title),
-    "json": _print_json,
-    "csv": _print_csv,
-    "markdown": _print_markdown,
-    "latex": lambda found, command: print(latex_table(comparison_table(found), command), end=""),
+    "json": lambda found, _: print(json.dumps(found.records(), indent=1)),
+    "csv": lambda found, _: csv.writer(sys.stdout, lineterminator="\n").writerows(
+        [found.columns, *found.rows]
+    ),
+    "markdown": lambda found, line: print(markdown_table(comparison_table(found, f" Written by `{line}`."))),
+    "latex": lambda found, line: print(latex_table(comparison_table(found), line), end=""),
 }
 """Printers by the value of --format, of a comparison made by a command line."""

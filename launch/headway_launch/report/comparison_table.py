@@ -51,6 +51,10 @@ class Comparison:
                 widths[row.metric] = min(widths.get(row.metric, math.inf), row.high - row.low)
         return {metric: 1 - math.floor(math.log10(width)) for metric, width in widths.items()}
 
+    def records(self) -> list[dict[str, Value]]:
+        """Return the values of each row by column."""
+        return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+
     def rounded(self) -> list[tuple[Value, ...]]:
         """Return the rows with numbers rounded to `decimals`."""
         decimals = self.decimals
@@ -63,8 +67,11 @@ class Comparison:
         return [tuple(rounded(row.metric, value) for value in row) for row in self.rows]
 
 
-def comparison_table(comparison: Comparison) -> Table:
-    """Return a comparison as a table with one row per controller and two columns per metric."""
+def comparison_table(comparison: Comparison, note: str = "") -> Table:
+    """Return a comparison as a table with one row per controller and two columns per metric.
+
+    `note`: end of its caption.
+    """
     decimals = comparison.decimals
     rows = {(row.metric, row.controller): row for row in comparison.rows}
 
@@ -86,7 +93,7 @@ def comparison_table(comparison: Comparison) -> Table:
         "comparison",
         f"{comparison.title}. Differences from the rule `{reference}` are paired by episode, with 95% "
         "intervals by Student's t: over training seeds and episodes for several seeds, over episodes for one "
-        "seed or a rule.",
+        "seed or a rule." + note,
         ["controller", "seeds", *(word for name in names for word in (name, f"minus {reference} [95%]"))],
         cells,
         emphasised=frozenset(range(learners, len(cells))),

@@ -130,15 +130,14 @@ def with_deviation(mean: float, deviation: float, decimals: int | None = None) -
     return f"{formatted(mean, decimals)} ± {formatted(deviation, decimals)}"
 
 
-def with_interval(estimate: float, low: float, high: float, sign: bool = False) -> str:
-    """Format as `20.5 [15.4, 25.7]`, or without the interval if it is unknown; `sign` writes a plus."""
+def with_interval(estimate: float, low: float, high: float, sign: str = "") -> str:
+    """Format as `20.5 [15.4, 25.7]`, or without the interval if it is unknown; `sign`: of `formatted`."""
     if not math.isfinite(estimate):
         return MISSING
-    plus = "+" if sign else ""
     if not (math.isfinite(low) and math.isfinite(high)):
-        return formatted(estimate, _decimals(0.0, estimate), plus)
+        return formatted(estimate, _decimals(0.0, estimate), sign)
     decimals = _decimals(high - low, estimate)
-    return f"{formatted(estimate, decimals, plus)} [{formatted(low, decimals)}, {formatted(high, decimals)}]"
+    return f"{formatted(estimate, decimals, sign)} [{formatted(low, decimals)}, {formatted(high, decimals)}]"
 
 
 def scale_of(largest: float, unit: str) -> tuple[str, float]:

@@ -13,6 +13,7 @@ from headway_launch.report.markdown_page import PICTURES, markdown
 
 _PARTS = ("tables", "pictures", "configs")
 _DOTS_PER_INCH = 200
+_BESIDE = " Beside this page are its tables as CSV (with all digits) and its pictures as PNG."
 
 
 @dataclass(frozen=True)
@@ -37,15 +38,7 @@ class ReportFormat:
 
 
 FORMATS: Mapping[str, ReportFormat] = {
-    "html": ReportFormat(
-        Page(
-            "report.html",
-            html,
-            " Beside this page are its tables as CSV (with all digits) and its pictures as PNG.",
-        ),
-        "csv",
-        "png",
-    ),
+    "html": ReportFormat(Page("report.html", html, _BESIDE), "csv", "png"),
     "markdown": ReportFormat(Page("report.md", markdown), pictures=PICTURES),
     "latex": ReportFormat(tables="tex", pictures="pdf"),
     "csv": ReportFormat(tables="csv"),

@@ -278,7 +278,7 @@ def _against(data: StudyData, against: DifferenceFromBest, seeds: int | None) ->
     found = against.interval
     if found is None:
         return [MISSING, MISSING, "the best rule" if seeds is None and not against.reason else MISSING]
-    shown = with_interval(found.estimate, found.low, found.high, sign=True)
+    shown = with_interval(found.estimate, found.low, found.high, sign="+")
     if not found.excludes_zero:
         conclusion = "no difference shown"
     else:

@@ -108,7 +108,7 @@ def _against_rules(data: StudyData, task: str) -> list[str]:
         if found is None:
             unknown[controller] = against.reason
             continue
-        shown = f"`{controller}` ({with_interval(found.estimate, found.low, found.high, sign=True)})"
+        shown = f"`{controller}` ({with_interval(found.estimate, found.low, found.high, sign='+')})"
         if not found.excludes_zero:
             undecided.append(shown)
         elif data.sign * found.estimate > 0:

@@ -408,11 +408,16 @@ def test_excluded_runs_are_noted_with_the_reason(keep_run: Keep, root: Path) -> 
     keep_run(TRACKING, 0, 1.0)
     keep_run(TRACKING, 1, 2.0, status="KILLED")
     failed = keep_run(TRACKING, 2, 3.0, status="FAILED")
-    (failed / "traceback.txt").write_text("Traceback\n  somewhere\nValueError: NaN in layer 2\n")
+    (failed / "traceback.txt").write_text("Traceback\n  somewhere\nValueError: NaN in `layer 2\n")
+    keep_run(TRACKING, 3, 4.0, status="RUNNING")
     report = made(root)
-    assert "Excluded from all results on this page: 2 not finished (1 FAILED, 1 KILLED)" in text_of(report)
-    assert f"{failed.name} failed: ValueError: NaN in layer 2" in text_of(report)
-    assert table(report, "runs")["included"].tolist() == [True, False, False]
+    assert (
+        "Excluded from all results on this page: 3 not finished (1 FAILED, 1 KILLED, 1 RUNNING)"
+        in text_of(report)
+    )
+    assert f"{failed.name} failed: ValueError: NaN in 'layer 2" in text_of(report)
+    assert table(report, "runs")["included"].tolist() == [True, False, False, False]
+    assert table(report, "runs")["duration_s"].isna().tolist() == [False, False, False, True]
 
 
 def test_environments_are_aggregated_if_rules_give_them_a_scale(keep_run: Keep, root: Path) -> None:

@@ -131,7 +131,7 @@ def _against_humans(data: StudyData, task: str, number: str) -> list[Part]:
 def _shown(against: "Interval | None") -> str:
     if against is None:
         return MISSING
-    return with_interval(against.estimate, against.low, against.high, sign=True)
+    return with_interval(against.estimate, against.low, against.high, sign="+")
 
 
 def _conclusion(found: "dict[str, Interval]", seeds: int) -> str:
