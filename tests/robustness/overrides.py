@@ -24,7 +24,7 @@ from tests.robustness.outcomes import FAILURES, Ended, Outcome, Scale, Tally, ou
 Words = tuple[str, ...]
 SECONDS = 120.0
 """Bound of one command line."""
-_PACE = Pace("a cell", 0.0, start_s=1, evaluation_s=1, cpu_start_s=1, marks=[(1, 1)] * 3)
+_PACE = Pace(0.0, start_s=1, evaluation_s=1, cpu_start_s=1, marks=[(1, 1)] * 3)
 
 _WHOLE = ("0", "1", "-1", "7", "1e3", "1.5", str(2**31), str(2**63 - 1), str(2**63), "1" * 400, "1_0", "0x1")
 _NUMBERS = ("0", "0.5", "-0.0", "1e308", "1e400", "5e-324", "nan", "inf", "-inf", ".5", "1" * 400)

@@ -38,8 +38,8 @@ def add_dry_run_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dry-run",
         action="store_true",
-        help="list the runs and estimate time and energy, from finished runs like them or from a few "
-        "iterations; stores nothing",
+        help="list the runs and estimate time and energy, from a few iterations or, in a sweep or search, "
+        "from finished runs of the same cell; stores nothing",
     )
 
 

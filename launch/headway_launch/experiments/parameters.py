@@ -91,18 +91,3 @@ def identity(mapping: Mapping[str, Any]) -> str:
     kept["evaluation"] = {name: value for name, value in evaluation.items() if name != "rules"}
     stack = mapping.get("backend", {}).get("stack", 1)
     return json.dumps([kept, stack], sort_keys=True, default=str)
-
-
-def pace_key(mapping: Mapping[str, Any]) -> str:
-    """Return a key that is equal for two runs whose iterations and evaluations take about as long.
-
-    Study, seed and length are left out, and real numbers of the algorithm, such as learning rates.
-    """
-    evaluation = mapping.get("evaluation") or {}
-    algo = flat(mapping.get("algo") or {})
-    kept = {
-        **{name: mapping.get(name) for name in ("device", "env", "rollout")},
-        "evaluation": {name: value for name, value in evaluation.items() if name not in ("rules", "seed")},
-        "algo": {name: value for name, value in algo if not isinstance(value, float)},
-    }
-    return json.dumps(kept, sort_keys=True, default=str)

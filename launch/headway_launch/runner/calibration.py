@@ -7,7 +7,8 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from multiprocessing.connection import wait
+from math import inf
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
@@ -33,6 +34,8 @@ _FEWEST, _SECONDS = 2, 3.0
 """Measurement also ends after `_SECONDS` of iterations if at least `_FEWEST` were measured."""
 _PATIENCE_S = 600.0
 _POLL_S = 0.2
+_GRACE_S = 1.0
+"""Seconds that a process may take to end after its last event."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,6 @@ class Pace:
     CPU seconds are those of its training process and workers.
     """
 
-    name: str
-    """Unique among all cells that are measured."""
     launched: float
     uses_gpu: bool = False
     start_s: float = 0.0
@@ -148,6 +149,7 @@ def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, 
     waiting = [cells[place % len(cells)] for place in range(rounds * shares.parallel)]
     paces: dict[int, Pace] = {}
     running: list[_Measurement] = []
+    noted: set[int] = set()
     meter = EnergyMeter.start(cells[0].experiment.config.energy)
     meter.wait()
     with (
@@ -158,15 +160,19 @@ def calibrate(cells: Sequence[CellPlan], shares: CoreShares) -> tuple[dict[int, 
             while waiting or running:
                 while waiting and len(running) < shares.parallel:
                     place = Path(folder, str(len(waiting)))
-                    running.append(_Measurement(waiting.pop(0), shares, place, progress))
-                    progress.note(running[-1].description)
-                wait([each.process.connection for each in running], _POLL_S)
+                    started = _Measurement(waiting.pop(0), shares, place, progress)
+                    running.append(started)
+                    if id(started.cell) not in noted:
+                        noted.add(id(started.cell))
+                        progress.note(started.description)
+                wait([each.waitable for each in running], _POLL_S)
                 for ended in [each for each in running if each.receive_events()]:
                     running.remove(ended)
+                    ended.process.kill()
                     ended.process.join()
                     pace, cell = ended.pace, ended.cell
-                    others = {other.pace.name: other.pace.usage for other in running}
-                    energy = meter.finish(pace.name, others, pace.usage)
+                    others = {other.place: other.pace.usage for other in running}
+                    energy = meter.finish(ended.place, others, pace.usage)
                     if id(cell) not in paces:
                         spent = max(energy.cpu_seconds, 1e-9)
                         pace.kwh = None if energy.kwh is None else energy.kwh / spent
@@ -189,30 +195,39 @@ class _Measurement:
 
     def __init__(self, cell: CellPlan, shares: CoreShares, folder: Path, progress: CountedProgress) -> None:
         self.cell, self.name, self._progress = cell, cell.label or cell.experiment.algo_name, progress
-        self.pace = Pace(str(folder), time.monotonic(), uses_gpu(cell.jobs[0]))
+        self.place, self._finished_at = str(folder), inf
+        self.pace = Pace(time.monotonic(), uses_gpu(cell.jobs[0]))
         self.process = TrainingProcess(_training_job(cell.jobs[0], shares, folder))
+
+    @property
+    def waitable(self) -> Connection | int:
+        """Object that is ready when an event has arrived or, after the last one, the process has ended."""
+        return self.process.connection if self._finished_at == inf else self.process.sentinel
 
     @property
     def description(self) -> str:
         """What is measured, for the user."""
         config = self.cell.jobs[0].config
-        least, most = (min(1 + count, config.iterations) for count in (_FEWEST, _ITERATIONS))
+        most = counted(min(1 + _ITERATIONS, config.iterations), "iteration")
         return (
-            f"measuring {self.name}, since no finished run is like it: start, an evaluation of "
-            f"{counted(config.evaluation.episodes, 'episode')}, {least} to {most} iterations of "
+            f"measuring {self.name} for the estimate: start, an evaluation of "
+            f"{counted(config.evaluation.episodes, 'episode')}, up to {most} of "
             f"{config.rollout.copies} x {config.rollout.steps} steps"
         )
 
     def receive_events(self) -> bool:
-        """Process the events that have arrived; return whether the measurement has ended.
+        """Process the events that have arrived; return whether the process has ended, or should be killed.
+
+        Never waits, since the other processes' events are timed when they are received.
 
         Raises HeadwayError if training fails or takes too long.
         """
-        while self.process.has_event():
+        while self._finished_at == inf and self.process.has_event():
             event = self.process.receive()
             match event:
                 case Finished():
-                    return True
+                    self._finished_at = time.monotonic()
+                    break
                 case Failed(line=line):
                     raise HeadwayError(f"the calibration of {self.name} failed: {line}")
                 case None:
@@ -221,6 +236,8 @@ class _Measurement:
             self._progress.add(0, f"{self.name}: iterations {len(self.pace.marks)}")
             if self.pace.is_enough:
                 self.process.ask_to_stop()
+        if self._finished_at < inf:
+            return bool(wait([self.waitable], 0)) or time.monotonic() > self._finished_at + _GRACE_S
         if time.monotonic() - self.pace.launched > _PATIENCE_S:
             raise HeadwayError(
                 f"the calibration of {self.name} takes longer than {_PATIENCE_S:g} s and is stopped; "

@@ -23,7 +23,7 @@ from headway_launch.runner.training_process import TrainingProcess
 from headway_launch.studies.dry_run import makespan
 
 PACE = Pace(
-    "a cell", 0.0, start_s=3.0, evaluation_s=2.0, cpu_start_s=4.0, marks=[(0.5, 1.0)] * 7,
+    0.0, start_s=3.0, evaluation_s=2.0, cpu_start_s=4.0, marks=[(0.5, 1.0)] * 7,
     kwh=1e-6, kg_co2=1e-7,
 )  # fmt: skip
 
@@ -85,14 +85,15 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
     assert header == ["cell", "jobs", "s per job", "total CPU s", "total kWh"]
     assert [row[:2] for row in rows] == [[algo, "3"] for algo in algorithms]
     assert all(float(row[2]) > 1 and float(row[3]) > 3 and row[4:] == [""] for row in rows)
-    measured = "since no finished run is like it: start, an evaluation of 1 episode, 3 to 7 iterations"
-    lines = {f"measuring {algo}, {measured} of 8 x 128 steps" for algo in algorithms}
+    measured = "for the estimate: start, an evaluation of 1 episode, up to 7 iterations of 8 x 128 steps"
+    lines = {f"measuring {algo} {measured}" for algo in algorithms}
     assert lines <= set(shown.err.splitlines())
     assert "12 jobs" in shown.out
     assert "trains a stack" not in shown.out
     assert "measured on this machine; on a cluster" not in shown.out
     assert "energy not measured" in shown.out
-    assert "The estimate is from" in shown.out
+    assert "Energy" not in shown.out
+    assert "measured with 2 trainings in parallel: 4 cells. This assumes" in shown.out
     assert not (tmp_path / "runs").exists()
     assert len(finished) >= 2
     assert all(usage.uses_gpu for usage in finished)
@@ -117,7 +118,7 @@ def test_run_has_a_dry_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     shown = capsys.readouterr().out
     assert shown.startswith("cell\titeration\tseeds\truns\taction\n")
     assert "\ttrain\n" in shown
-    assert "The estimate is from" in shown
+    assert "Estimated from an evaluation and at least 6 iterations" in shown
     assert not root.exists()
 
 
@@ -166,32 +167,66 @@ def test_a_cell_with_finished_runs_costs_their_mean_and_is_not_measured(
     assert "ippo\t3\t15\t15\t0.6\n" in shown  # three new seeds of 15 s, 5 CPU s and 0.2 kWh
     assert "3 jobs, 1 in parallel: about 0:00:45, 15 CPU s, 0.6 kWh" in shown
     assert "Estimated as the mean of finished runs on this machine: 1 cell." in shown
-    assert "The estimate is from" not in shown
+    assert "Estimated from" not in shown
 
 
-def test_a_cell_without_runs_costs_as_much_per_step_as_runs_like_its_own(
+@pytest.mark.usefixtures("_measured")
+def test_known_and_measured_cells_are_told_apart_and_energy_is_summed_only_if_all_is_known(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Learning rates, studies and lengths may differ, sizes of networks may not."""
-    words = ["run", "env=trivial", "algo=ippo", "energy=off", "backend=serial", "backend.parallel=1",
+    words = ["sweep", "env=trivial", "study=toys", "env_steps=2048", "backend.parallel=1",
              f"store.root={tmp_path}"]  # fmt: skip
-    [experiment] = compose_sweep([*words[1:], "study=toys", "env_steps=2048", "algo.lr=1e-3"])
+    [experiment] = compose_sweep([*words[1:], "algo=ippo", "energy=off", "backend=serial"])
     keep_run(tmp_path, experiment, 0, "FINISHED", session=Process.current(), cpu_seconds=4.0, kwh=0.1)
-    monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", None)
-    longer = [*words, "study=others", "seed=0,1", "env_steps=4096", "algo.lr=1e-4", "--dry-run"]
-    assert run(longer) == 0
+    both = [*words, "algo=ippo,ia2c", "seed=0,1", "--dry-run"]
+    assert run([*both, "energy=codecarbon", "backend=ray"]) == 0
     shown = capsys.readouterr().out
-    assert "ippo\t2\t20\t16\t0.4\n" in shown  # twice the 10 s, 4 CPU s and 0.1 kWh, two seeds
-    line = "Estimated at the pace of finished runs with the same environment, rollout and algorithm on this"
-    assert f"{line} machine: 1 cell." in shown
+    assert "Estimated as the mean of finished runs on this machine: 1 cell." in shown
+    assert "6 iterations, measured with 1 training in parallel: 1 cell." in shown
+    assert "on a cluster with other processors" in shown
+    assert "Measured energy: CodeCarbon's value" in shown
     paced = "headway_launch.studies.dry_run.calibrate"
-    monkeypatch.setattr(paced, lambda cells, shares: ({id(cell): PACE for cell in cells}, ""))
-    assert run([*longer, "algo.model.hidden=[8]"]) == 0
-    assert "Estimated at" not in capsys.readouterr().out
+    without = replace(PACE, kwh=None, kg_co2=None)
+    monkeypatch.setattr(paced, lambda cells, shares: ({id(cell): without for cell in cells}, ""))
+    assert run([*both, "energy=off", "backend=serial"]) == 0
+    shown = capsys.readouterr().out
+    assert "ippo\t1\t10\t4\t0.1\n" in shown
+    assert "CPU s, energy measured for 1 job only\n" in shown
+    assert "CodeCarbon" not in shown
+
+
+@pytest.mark.usefixtures("_measured")
+def test_only_a_cells_own_runs_give_its_estimate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A short run of the same settings says little of a long one, which hardly consists of its start."""
+    words = ["sweep", "env=trivial", "algo=ippo", "study=toys", "seed=0,1", "energy=off", "backend=serial",
+             f"store.root={tmp_path}"]  # fmt: skip
+    [experiment] = compose_sweep([*words[1:], "env_steps=2048"])
+    keep_run(tmp_path, experiment, 0, "FINISHED", session=Process.current(), cpu_seconds=4.0)
+    assert run([*words, "env_steps=204_800", "--dry-run"]) == 0
+    shown = capsys.readouterr().out
+    assert "Estimated as the mean" not in shown
+    assert "Estimated from an evaluation" in shown
+
+
+def test_finished_runs_of_whole_stacks_give_the_cost_of_a_smaller_last_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["sweep", "env=trivial", "algo=ippo", "study=toys", "env_steps=2048", "energy=off",
+             "backend=serial", "backend.parallel=1", "backend.stack=3", f"store.root={tmp_path}"]  # fmt: skip
+    [experiment] = compose_sweep(words[1:])
+    for seed in (0, 1, 2):
+        kept = {"stack": (0, 1, 2), "session": Process.current(), "cpu_seconds": 5.0}
+        keep_run(tmp_path, experiment, seed, "FINISHED", **kept)
+    monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", None)
+    assert run([*words, "seed=0..7", "--dry-run"]) == 0
+    shown = capsys.readouterr().out
+    assert "ippo\t2\t20\t25\t\n" in shown  # five seeds in jobs of 3 and 2
+    assert run([*words, "seed=0..4", "--dry-run"]) == 0
+    assert "ippo\t1\t20\t10\t\n" in capsys.readouterr().out
 
 
 def test_iterations_are_measured_without_the_evaluations_between_them() -> None:
-    pace = Pace("a cell", launched=time.monotonic())
+    pace = Pace(time.monotonic())
     spent = 5.0
     pace.take(Started(0, (), False))
     pace.take(EvaluationFinished(0, 0, "greedy", False, Usage(spent, 0), 0.0))
