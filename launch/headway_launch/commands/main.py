@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from types import ModuleType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from headway.config.schema import nearest, suggestion
 from headway.contracts.errors import EnvironmentRaisedError, HeadwayError
@@ -82,16 +82,43 @@ COMMANDS = {
 """Every command by name."""
 _ONE_THREAD = ("run", "sweep", "search", "resume", "evaluate", "export", "compare", "render")
 """Commands whose numerical libraries use one thread, because parallel processes fill the machine."""
+_CUTOFF = 0.7
+"""Least similarity of an unknown option to the one that is proposed."""
 
 
 class _Parser(argparse.ArgumentParser):
+    def __init__(self, words: Sequence[str], **options: Any) -> None:  # noqa: ANN401 - argparse's
+        """`words`: the words to be parsed, for errors."""
+        super().__init__(**options)
+        self._words = words
+
     def error(self, message: str) -> NoReturn:
-        if message.startswith("unrecognized") and (fix := self._store_option(message)):
-            raise HeadwayError(f"{message}; {self.prog} takes {fix}")
-        word = message.removeprefix("unrecognized arguments: ").split()[0].split("=")[0]
-        if word.startswith("--") and (near := nearest(word, self._option_string_actions)):
-            raise HeadwayError(f"{message}; did you mean {near}? See {self.prog} --help")
+        unknown = message.removeprefix("unrecognized arguments: ")
+        if unknown != message:
+            if fix := self._store_option(message):
+                raise HeadwayError(f"{message}; {self.prog} takes {fix}")
+            option = unknown.split()[0].split("=")[0]
+            if fix := self._override(option):
+                raise HeadwayError(f"{message}; write {fix}")
+            names = {name.lstrip("-"): name for name in self._option_string_actions}
+            if option.startswith("--") and (near := nearest(option.lstrip("-"), names, _CUTOFF)):
+                raise HeadwayError(f"{message}; did you mean {names[near]}? See {self.prog} --help")
         raise HeadwayError(f"{message}; see {self.prog} --help")
+
+    def _override(self, option: str) -> str:
+        """Return the override that a mistaken option stands for, if this command trains and it names a key or
+        a group of configurations; else an empty string."""
+        key = option.removeprefix("--").replace("-", "_")
+        if self.get_default("dry_run") is None or key == option:
+            return ""
+        from headway_launch.commands.completion import override_completions
+
+        if f"{key}=" not in override_completions(self._words, key):
+            return ""
+        place = next(i for i, word in enumerate(self._words) if word.startswith(option))
+        _, has_value, value = self._words[place].partition("=")
+        following = [word for word in self._words[place + 1 : place + 2] if not word.startswith("-")]
+        return f"{key}={value if has_value else ''.join(following) or 'VALUE'}"
 
     def _store_option(self, message: str) -> str:
         """Return the store option that this command takes, if an error is about the other form; else an empty
@@ -221,6 +248,7 @@ def _dispatch(words: Sequence[str], debug: bool, typed: bool) -> int:
         limit_threads()
     module = _module_of(command)
     parser = _Parser(
+        rest,
         prog=f"headway {name}",
         description=_description(command),
         epilog=module.EXAMPLES,

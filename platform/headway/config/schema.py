@@ -34,17 +34,17 @@ _MAX_SEEDS = 10_000
 _SEED_FORMS = "write 7, 0,1,2, [0,1], 0..49 or range(0,50)"
 
 
-def nearest(name: str, names: Iterable[str]) -> str | None:
+def nearest(name: str, names: Iterable[str], cutoff: float = 0.5) -> str | None:
     """Return the one of `names` that `name` probably meant, or None.
 
     Case is ignored. An abbreviation of at least three letters matches the shortest name that starts with it;
-    otherwise the closest name by edit similarity matches.
+    otherwise the closest name by edit similarity matches, if that is at least `cutoff`.
     """
     by_lower = {candidate.lower(): candidate for candidate in names}
     completions = [known for known in by_lower if known.startswith(name.lower())]
     if len(name) >= _MIN_PREFIX and completions:
         return by_lower[min(completions, key=len)]
-    found = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.5)
+    found = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=cutoff)
     return by_lower[found[0]] if found else None
 
 
