@@ -118,7 +118,7 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
             config = replace(config, rollout=replace(config.rollout, block=plan.block))
         job = PlannedJob.of(experiment, config, environment, spec, stack)
         folders = [by_seed[seed].directory / CHECKPOINTS for seed in stack]
-        if all(latest_iteration(folder) is None for folder in folders):  # it begins anew
+        if all(latest_iteration(folder) is None for folder in folders):  # it starts from the beginning
             job = job.with_parent(parent_run(experiment, job.training.plan.policy))
         jobs.append(replace(job, resumed=run_ids, iteration=iteration, workers=plan.workers))
     return tuple(jobs)

@@ -114,9 +114,9 @@ class StudyProgress:
 
 
 def _keep_stacks_whole(finished: list[StoredRun], unfinished: list[StoredRun], new: list[int]) -> None:
-    """Move runs between the lists so that all seeds of a stack resume together or start anew together."""
+    """Move runs between the lists so that all seeds of a stack resume together or all begin again."""
     for stack in {run.plan.stack for run in unfinished}:
-        # A session killed while it started a stack leaves seeds without a run: train them all anew.
+        # A session killed while it started a stack leaves seeds without a run: train all of it again.
         if not set(stack).isdisjoint(new):
             new += [run.record.seed for run in unfinished if run.plan.stack == stack]
             unfinished[:] = [run for run in unfinished if run.plan.stack != stack]

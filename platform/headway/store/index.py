@@ -143,18 +143,31 @@ def _stamp(folder: Path) -> str:
 
 
 def _row(folder: Path) -> RunRow:
-    record = RunRecord.read(folder)
-    known = {
-        **read_summary(folder),
-        **vars(record),
-        **vars(record.session),
-        "cell": record.cell,
-        "iterations": record.durable_iteration,
-        "env_steps": record.durable_env_steps,
-        "directory": str(folder),
-    }
-    values: dict[str, Any] = {name: known.get(name) for name in _COLUMNS}
-    return RunRow(**values)
+    record, summary = RunRecord.read(folder), read_summary(folder)
+    return RunRow(
+        study=record.study,
+        environment=record.environment,
+        algorithm=record.algorithm,
+        policies=record.policies,
+        preset=record.preset,
+        cell=record.cell,
+        seed=record.seed,
+        status=record.status,
+        iterations=record.durable_iteration,
+        env_steps=record.durable_env_steps,
+        final_reward=summary.get("final_reward"),
+        auc=summary.get("auc"),
+        cpu_seconds=summary.get("cpu_seconds"),
+        kwh=summary.get("kwh"),
+        kg_co2=summary.get("kg_co2"),
+        started=record.started,
+        duration_s=record.duration_s,
+        run_id=record.run_id,
+        directory=str(folder),
+        host=record.session.host,
+        pid=record.session.pid,
+        created=record.session.created,
+    )
 
 
 def _settled(row: RunRow) -> RunRow:

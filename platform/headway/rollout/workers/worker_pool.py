@@ -65,7 +65,7 @@ class WorkerConnection(Protocol):
 class WorkerLauncher(Protocol):
     """Starts workers, as processes of this machine or as Ray workers of a cluster.
 
-    It also moves parameters to sampling workers, and experience back; contributors have their own.
+    In synchronous training it also moves parameters to the workers, and experience back.
     """
 
     @property
