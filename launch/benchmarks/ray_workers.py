@@ -99,7 +99,7 @@ def report() -> None:
 def _report_transfer() -> dict[str, TransferCost]:
     """Print and return the transfer costs by task, for tasks with a batched environment."""
     from headway.rollout.workers.ray_cluster import connect, disconnect
-    from headway.rollout.workers.ray_workers import RayLauncher, experience_of
+    from headway.rollout.workers.ray_workers import SamplingRayLauncher, experience_of
 
     sizes: dict[str, tuple[float, float]] = {}
     connect("local")
@@ -113,7 +113,7 @@ def _report_transfer() -> dict[str, TransferCost]:
             shapes = plan.policy.parameter_shapes(plan.replicas)
             parameters = {key: np.zeros(shape, dtype) for key, (shape, dtype) in shapes.items()}
             shards = plan.shards(task.workers)
-            launcher = RayLauncher(BackendConfig("ray"), plan, shards, print)
+            launcher = SamplingRayLauncher(BackendConfig("ray"), plan, shards, print)
             collector = PoolCollector(plan, launcher, len(shards), print)
             try:
                 collector.begin()

@@ -5,20 +5,21 @@ from collections.abc import Sequence
 from typing import Any
 
 from headway.contracts import HeadwayError
-from headway.rollout.collector import Contributors, restart_purpose
-from headway.rollout.plan import RolloutPlan
+from headway.contracts.acting_policy import Parameters
+from headway.events import Row, Usage
+from headway.rollout.collector import Evaluator, InProcessEvaluator, close_all
+from headway.rollout.plan import RolloutPlan, restart_purpose
 from headway.rollout.workers.worker import Begin, Contribute, Done, WorkerService
 from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, resume_command
 
 
-class PoolContributors(Contributors):
-    """Contributors in a pool of workers, one per block of copies.
+class PoolContributors:
+    """`Contributors` in a pool of workers, one per block of copies; `evaluator` evaluates.
 
     Workers do not wait for each other, even while the replacement of a worker that died repeats its rollout.
     """
 
     in_turns = False
-    pool: WorkerPool
 
     def __init__(
         self,
@@ -26,9 +27,11 @@ class PoolContributors(Contributors):
         launcher: WorkerLauncher,
         number: int,
         notify: Notify,
+        evaluator: Evaluator,
         timeout_s: float | None = None,
     ) -> None:
-        self.plan, self.number, self.tasks = plan, number, {}
+        self.plan, self.number, self.evaluator = plan, number, evaluator
+        self.tasks: dict[int, Contribute] = {}
         self.ready: deque[int] = deque()
         """Workers that have answered, died or taken too long, until their answer is received, in order."""
         self.pool = WorkerPool(launcher, number, notify, plan.spec.name, timeout_s)
@@ -36,6 +39,9 @@ class PoolContributors(Contributors):
 
     def begin(self) -> None:
         self.pool.all([Begin(self.plan.seed_purpose)] * self.number)
+
+    def idle(self) -> list[int]:
+        return [worker for worker in range(self.number) if worker not in self.tasks]
 
     def assign(self, worker: int, task: Contribute) -> None:
         self.tasks[worker] = task
@@ -73,22 +79,41 @@ class PoolContributors(Contributors):
         for worker, task in _tasks_of(snapshots).items():
             self.assign(worker, task)
 
+    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
+        return self.evaluator.evaluate(root, episodes, greedy, parameters)
 
-class SerialContributors(Contributors):
-    """Contributors in the training process, one after another in a fixed order, for debugging and tests."""
+    def process_ids(self) -> list[int]:
+        return self.pool.process_ids() + self.evaluator.process_ids()
+
+    def usage(self) -> Usage:
+        return self.pool.usage() + self.evaluator.usage()
+
+    def close(self) -> None:
+        close_all([self.pool, self.evaluator])
+
+
+class SerialContributors:
+    """`Contributors` in the training process, one after another in a fixed order, for debugging and tests.
+
+    Evaluation is in this process too, unless `evaluator` is given.
+    """
 
     in_turns = True
 
-    def __init__(self, plan: RolloutPlan) -> None:
+    def __init__(self, plan: RolloutPlan, evaluator: Evaluator | None = None) -> None:
         """Raise HeadwayError if all copies exceed the environment's limit per process."""
         plan.require_one_process()
-        self.plan, self.tasks = plan, {}
+        self.plan, self.evaluator = plan, evaluator or InProcessEvaluator(plan)
+        self.tasks: dict[int, Contribute] = {}
         self.workers = [WorkerService(plan, shard) for shard in plan.block_shards]
         self.number = len(self.workers)
 
     def begin(self) -> None:
         for worker in self.workers:
             worker.execute(Begin(self.plan.seed_purpose))
+
+    def idle(self) -> list[int]:
+        return [worker for worker in range(self.number) if worker not in self.tasks]
 
     def assign(self, worker: int, task: Contribute) -> None:
         """Store the task of an idle worker until `next_done` executes it."""
@@ -113,9 +138,17 @@ class SerialContributors(Contributors):
             worker.execute(resume_command(state, restart_purpose(iteration)))
         self.tasks = _tasks_of(snapshots)
 
-    def _close(self) -> None:
-        for worker in self.workers:
-            worker.sampler.env.close()
+    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
+        return self.evaluator.evaluate(root, episodes, greedy, parameters)
+
+    def process_ids(self) -> list[int]:
+        return self.evaluator.process_ids()
+
+    def usage(self) -> Usage:
+        return self.evaluator.usage()
+
+    def close(self) -> None:
+        close_all([*(worker.sampler.env for worker in self.workers), self.evaluator])
 
 
 def _require_blocks(snapshots: Sequence[Any], plan: RolloutPlan) -> None:

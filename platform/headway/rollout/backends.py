@@ -1,14 +1,15 @@
 """Choice of the backend. All of them produce the same trajectory, bit for bit."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from headway.config.experiment import BackendConfig
 from headway.rollout.async_collector import PoolContributors, SerialContributors
-from headway.rollout.collector import Backend, Collector, Contributors
+from headway.rollout.collector import Collector, Contributors, Evaluator
 from headway.rollout.plan import RolloutPlan, Shard
-from headway.rollout.pool_collector import PoolCollector
+from headway.rollout.pool_collector import PoolCollector, SamplingLauncher
 from headway.rollout.serial_collector import SerialCollector
-from headway.rollout.workers.process_workers import ProcessLauncher
+from headway.rollout.workers.process_workers import ProcessLauncher, SamplingProcessLauncher
 from headway.rollout.workers.worker_pool import Notify, WorkerLauncher
 
 
@@ -19,10 +20,10 @@ def open_collector(backend: BackendConfig, plan: RolloutPlan, workers: int, noti
     backend too. Raises HeadwayError if the backend cannot start.
     """
     shards = [plan.whole] if backend.name == "serial" else plan.shards(workers)
-    collector = _open(backend.name, backend, plan, shards, notify)
-    if plan.spec.max_copies_per_process is not None:
-        _add_evaluator(collector, backend, workers, notify)
-    return collector
+    if plan.spec.max_copies_per_process is None:
+        return _open(backend.name, backend, plan, shards, notify)
+    with _evaluator(backend, plan, workers, notify) as evaluator:
+        return _open(backend.name, backend, plan, shards, notify, evaluator)
 
 
 def open_contributors(backend: BackendConfig, plan: RolloutPlan, notify: Notify) -> Contributors:
@@ -31,53 +32,60 @@ def open_contributors(backend: BackendConfig, plan: RolloutPlan, notify: Notify)
     The serial backend needs that only if the environment limits the copies per process. Raises HeadwayError
     if the backend cannot start.
     """
-    contributors: Contributors
-    if backend.name == "serial":
-        contributors = SerialContributors(plan)
-    else:
-        shards = plan.block_shards
-        launcher = _launcher(backend.name, backend, plan, shards, notify)
-        contributors = PoolContributors(plan, launcher, len(shards), notify, backend.worker_timeout_s)
-    if backend.name != "serial" or plan.spec.max_copies_per_process is not None:
-        _add_evaluator(contributors, backend, contributors.number, notify)
-    return contributors
+    shards = plan.block_shards
+    if backend.name == "serial" and plan.spec.max_copies_per_process is None:
+        return SerialContributors(plan)
+    with _evaluator(backend, plan, len(shards), notify) as evaluator:
+        if backend.name == "serial":
+            return SerialContributors(plan, evaluator)
+        launcher: WorkerLauncher
+        if backend.name == "process":
+            launcher = ProcessLauncher(plan, shards)
+        else:
+            from headway.rollout.workers.ray_workers import RayLauncher  # imports Ray, an optional extra
+
+            launcher = RayLauncher(backend, plan, shards, notify)
+        return PoolContributors(plan, launcher, len(shards), notify, evaluator, backend.worker_timeout_s)
 
 
-def _add_evaluator(owner: Backend, backend: BackendConfig, workers: int, notify: Notify) -> None:
-    """Start workers that only evaluate for `owner`, which is closed if they cannot start.
+@contextmanager
+def _evaluator(
+    backend: BackendConfig, plan: RolloutPlan, workers: int, notify: Notify
+) -> Iterator[Evaluator]:
+    """Start workers that only evaluate, for a backend with `workers`; close them if that cannot start.
 
     There are as many as one replica group has for training, because cores are reserved for one group only,
     and at most one per group.
     """
-    plan, name = owner.plan, "process" if backend.name == "serial" else backend.name
-    groups = len(plan.groups)
+    name, groups = "process" if backend.name == "serial" else backend.name, len(plan.groups)
     evaluation, number = plan.evaluation_plan, min(groups, max(1, workers // groups))
     if name == "ray" and backend.cpus_per_worker:
         number = 1  # an evaluation worker occupies its CPUs of the cluster during training too
+    # Evaluation tasks name their replicas, so the shard of an evaluation worker is never used.
+    evaluator = _open(name, backend, evaluation, [evaluation.whole] * number, notify)
     try:
-        # Evaluation tasks name their replicas, so the shard of an evaluation worker is never used.
-        owner.evaluator = _open(name, backend, evaluation, [evaluation.whole] * number, notify)
+        yield evaluator
     except BaseException:
-        owner.close()
+        evaluator.close()
         raise
 
 
 def _open(
-    name: str, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
+    name: str,
+    backend: BackendConfig,
+    plan: RolloutPlan,
+    shards: Sequence[Shard],
+    notify: Notify,
+    evaluator: Evaluator | None = None,
 ) -> Collector:
     """Start the collector of the backend `name`, which may differ from that of `backend`."""
     if name == "serial":
-        return SerialCollector(plan)
-    launcher = _launcher(name, backend, plan, shards, notify)
-    return PoolCollector(plan, launcher, len(shards), notify, backend.worker_timeout_s)
-
-
-def _launcher(
-    name: str, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
-) -> WorkerLauncher:
-    """Return the launcher of the workers of a backend, in processes or on a Ray cluster."""
+        return SerialCollector(plan, evaluator)
+    launcher: SamplingLauncher
     if name == "process":
-        return ProcessLauncher(plan, shards)
-    from headway.rollout.workers.ray_workers import RayLauncher  # imports Ray, an optional extra
+        launcher = SamplingProcessLauncher(plan, shards)
+    else:
+        from headway.rollout.workers.ray_workers import SamplingRayLauncher  # imports Ray, an optional extra
 
-    return RayLauncher(backend, plan, shards, notify)
+        launcher = SamplingRayLauncher(backend, plan, shards, notify)
+    return PoolCollector(plan, launcher, len(shards), notify, backend.worker_timeout_s, evaluator)

@@ -66,6 +66,11 @@ def evaluation_block(spec: EnvSpec) -> int:
     return EVALUATION_BLOCK if limit is None else min(EVALUATION_BLOCK, limit)
 
 
+def restart_purpose(iteration: int) -> str:
+    """Return the seed purpose of episodes that restart after `iteration`, distinct for every iteration."""
+    return f"env restart {iteration}"
+
+
 @dataclass(frozen=True)
 class RolloutPlan:
     """The rollouts of one stack of seeds on one environment. Picklable: every worker gets a copy."""

@@ -1,32 +1,48 @@
 """Rollouts in a pool of workers, one shard of the copies per worker."""
 
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
+from headway.contracts import Trajectory
 from headway.contracts.acting_policy import Parameters
-from headway.events import Row
-from headway.rollout.collector import Collector, concatenate_blocks, require_shards, restart_purpose
+from headway.events import Row, Usage
+from headway.rollout.collector import Evaluator, close_all, concatenate_blocks, require_shards
 from headway.rollout.episodes import EvaluationRequest
-from headway.rollout.plan import RolloutPlan
+from headway.rollout.plan import RolloutPlan, restart_purpose
 from headway.rollout.sampler import Episode, sort_episodes
 from headway.rollout.workers.worker import Begin, Collect, Evaluate
 from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, resume_command
 
 
-class PoolCollector(Collector):
-    """A collector whose workers fill one trajectory, all with the same parameters."""
+class SamplingLauncher(WorkerLauncher, Protocol):
+    """Starts workers of synchronous training; moves parameters to them, and experience back."""
 
-    pool: WorkerPool
+    @property
+    def trajectory(self) -> Trajectory:
+        """Experience of all workers, complete once they have answered."""
+        ...
+
+    def publish(self, parameters: Parameters) -> None:
+        """Send the acting parameters, arrays (P, ...) by name, which all workers use until the next call."""
+        ...
+
+
+class PoolCollector:
+    """A `Collector` whose workers fill one trajectory, all with the same parameters.
+
+    They evaluate too, unless `evaluator` is given.
+    """
 
     def __init__(
         self,
         plan: RolloutPlan,
-        launcher: WorkerLauncher,
+        launcher: SamplingLauncher,
         number: int,
         notify: Notify,
         timeout_s: float | None = None,
+        evaluator: Evaluator | None = None,
     ) -> None:
         self.plan, self.launcher, self.trajectory = plan, launcher, launcher.trajectory
+        self.evaluator = evaluator
         self.pool = WorkerPool(launcher, number, notify, plan.spec.name, timeout_s)
 
     def begin(self) -> None:
@@ -39,11 +55,14 @@ class PoolCollector(Collector):
         self.pool.restart_purpose = restart_purpose(iteration)
         return sort_episodes(episode for part in done for episode in part.episodes)
 
-    def _play(self, requests: Sequence[EvaluationRequest], parameters: Parameters) -> list[list[Row]]:
+    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
         """Play evaluation episodes.
 
         Each task is one block of episodes of one replica group; the workers take the tasks in turn.
         """
+        if self.evaluator is not None:
+            return self.evaluator.evaluate(root, episodes, greedy, parameters)
+        requests = EvaluationRequest.split(root, episodes, greedy, self.plan.spec)
         self.launcher.publish(parameters)
         tasks = [Evaluate(request, *group) for group in self.plan.groups for request in requests]
         played: list[list[list[Row]]] = []
@@ -65,3 +84,12 @@ class PoolCollector(Collector):
         require_shards(snapshots, len(self.pool.workers))
         self.pool.restart_purpose = restart_purpose(iteration)
         self.pool.all([resume_command(snapshot, self.pool.restart_purpose) for snapshot in snapshots])
+
+    def process_ids(self) -> list[int]:
+        return self.pool.process_ids() + (self.evaluator.process_ids() if self.evaluator else [])
+
+    def usage(self) -> Usage:
+        return self.pool.usage() + (self.evaluator.usage() if self.evaluator else Usage())
+
+    def close(self) -> None:
+        close_all([self.pool, self.evaluator] if self.evaluator else [self.pool])

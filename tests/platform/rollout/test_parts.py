@@ -194,14 +194,13 @@ def test_too_many_copies_for_a_process_are_refused_with_settings_that_work(
     assert sorted(held) == [(replica, copy) for replica in range(len(seeds)) for copy in range(copies)]
 
 
-def test_a_collector_is_closed_if_its_evaluator_cannot_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Full:
-        def __init__(self, *_: object) -> None:
-            raise HeadwayError("no room")
+def test_an_evaluator_is_closed_if_its_collector_cannot_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise HeadwayError("no room")
 
     closed: list[object] = []
-    monkeypatch.setattr(backends, "ProcessLauncher", Full)
-    monkeypatch.setattr(backends.SerialCollector, "close", lambda self: closed.append(self))
+    monkeypatch.setattr(backends, "SerialCollector", full)
+    monkeypatch.setattr(backends.PoolCollector, "close", lambda self: closed.append(self.pool.close()))
     plan = _limited(plan_of_toy("visitors"), 100)
     with pytest.raises(HeadwayError, match="no room"):
         backends.open_collector(BackendConfig("serial"), plan, 1, print)

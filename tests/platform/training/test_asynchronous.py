@@ -23,6 +23,7 @@ from rehearsal import (
     Showing,
     TediousVisitors,
     parameters_of,
+    plan_of_toy,
 )
 from runs import COPIES, GRU, STEPS, Backend, Log, job_of, logs_of, trained, with_algorithm
 
@@ -33,7 +34,8 @@ from headway.rollout.async_collector import PoolContributors, SerialContributors
 from headway.rollout.backends import open_contributors
 from headway.rollout.collector import Contributors
 from headway.rollout.serial_collector import SerialCollector
-from headway.rollout.workers.process_workers import GRACE_S
+from headway.rollout.workers.process_workers import GRACE_S, ProcessLauncher, SamplingProcessLauncher
+from headway.rollout.workers.shared_memory import Content, SharedBlock
 from headway.rollout.workers.worker import Contribute, Done
 from headway.rollout.workers.worker_pool import WorkerFailedError
 from headway.training.loop import TrainingJob, train
@@ -213,6 +215,23 @@ def _opened(job: TrainingJob, notices: list[str]) -> Iterator[PoolContributors]:
         assert isinstance(contributors, PoolContributors)
         contributors.begin()
         yield contributors
+
+
+def test_contributors_share_neither_a_trajectory_nor_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each has a trajectory of its own copies, and parameters come with its tasks."""
+    created: list[str] = []
+    create = SharedBlock.create
+
+    def noted(nbytes: int, content: Content = "trajectories") -> SharedBlock:
+        created.append(content)
+        return create(nbytes, content)
+
+    monkeypatch.setattr(SharedBlock, "create", noted)
+    plan = replace(plan_of_toy("visitors", copies=4, block=2), make_contributor=Showing)
+    ProcessLauncher(plan, plan.block_shards)
+    assert created == ["the environment"]
+    SamplingProcessLauncher(plan.evaluation_plan, [plan.evaluation_plan.whole])
+    assert created[1:] == ["trajectories", "parameters", "the environment"]
 
 
 def test_no_process_is_left_if_contributors_cannot_start(tmp_path: Path) -> None:

@@ -24,28 +24,22 @@ _START_ATTEMPTS, _START_PAUSE_S = 10, 0.1
 
 
 class ProcessLauncher:
-    """Starts worker processes with multiprocessing's forkserver.
+    """Starts worker processes with multiprocessing's forkserver."""
 
-    Trajectory and parameters lie in shared memory.
-    """
-
-    def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
-        self.plan, shapes = SharedPickle.of(plan), plan.policy.parameter_shapes(plan.replicas)
-        trajectory = SharedBlock.create(plan.layout.nbytes)
-        memory = SharedBlock.create(block_nbytes(shapes), "parameters")
-        self.blocks = self.plan.block, trajectory, memory
-        self.trajectory = Trajectory.from_buffer(trajectory.buffer, plan.layout)
-        self.parameters = arrays_in(memory.buffer, shapes)
-        self.setups = [WorkerSetup(self.plan, shard, trajectory, memory) for shard in shards]
+    def __init__(
+        self,
+        plan: RolloutPlan,
+        shards: Sequence[Shard],
+        memory: tuple[SharedBlock, SharedBlock] | None = None,
+    ) -> None:
+        """`memory`: see `WorkerSetup`."""
+        self.plan = SharedPickle.of(plan)
+        self.blocks = self.plan.block, *(memory or ())
+        self.setups = [WorkerSetup(self.plan, shard, memory) for shard in shards]
         self.context = multiprocessing.get_context("forkserver")
         policy = type(plan.policy).__module__
         preload = [*plan.preload, *([policy] if policy != "__main__" else [])]
         self.context.set_forkserver_preload(["headway.rollout.workers.worker", *preload])
-
-    def publish(self, parameters: Parameters) -> None:
-        """Copy the parameters to shared memory."""
-        for name, array in self.parameters.items():
-            array[...] = parameters[name]
 
     def start(self, shard: int) -> "ProcessConnection":
         """Start the worker process of a shard."""
@@ -74,6 +68,23 @@ class ProcessLauncher:
                 link.kill()
         for block in self.blocks:
             block.close()
+
+
+class SamplingProcessLauncher(ProcessLauncher):
+    """Starts worker processes of synchronous training; trajectory and parameters lie in shared memory."""
+
+    def __init__(self, plan: RolloutPlan, shards: Sequence[Shard]) -> None:
+        shapes = plan.policy.parameter_shapes(plan.replicas)
+        experience = SharedBlock.create(plan.layout.nbytes)
+        acting = SharedBlock.create(block_nbytes(shapes), "parameters")
+        super().__init__(plan, shards, (experience, acting))
+        self.trajectory = Trajectory.from_buffer(experience.buffer, plan.layout)
+        self.parameters = arrays_in(acting.buffer, shapes)
+
+    def publish(self, parameters: Parameters) -> None:
+        """Copy the parameters to shared memory."""
+        for name, array in self.parameters.items():
+            array[...] = parameters[name]
 
 
 class ProcessConnection:

@@ -101,7 +101,7 @@ class RayRolloutWorker:
         The experience is returned as arrays, which Ray moves without pickling.
         """
         command: Command = pickle.loads(pickled)
-        if isinstance(self.setup.parameters, dict) and parameters is not None:
+        if parameters is not None:
             self.setup.parameters.update(parameters)
         answer = bytes(self.server.answer(command))
         service = self.server.service
@@ -111,25 +111,28 @@ class RayRolloutWorker:
 
 
 class RayLauncher:
-    """Starts Ray workers, spread over the cluster's nodes.
-
-    Parameters and experience move through the object store.
-    """
+    """Starts Ray workers, spread over the cluster's nodes."""
 
     def __init__(
-        self, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
+        self,
+        backend: BackendConfig,
+        plan: RolloutPlan,
+        shards: Sequence[Shard],
+        notify: Notify,
+        parts: Sequence[Mapping[str, NDArray[Any]]] = (),
     ) -> None:
-        """Connect to the cluster. Raises HeadwayError if that fails."""
+        """Connect to the cluster. `parts`: each worker's views of the trajectory, in synchronous training.
+
+        Raises HeadwayError if that fails.
+        """
         self.notify, self.here = notify, Place.here()
         pickled = pickled_whole(plan)
         self.setups = [pickle.dumps(WorkerSetup(pickled, shard)) for shard in shards]
-        self.trajectory = Trajectory.allocate(plan.layout)
-        self.parts = [shard_views(self.trajectory, plan.replicas, shard) for shard in shards]
-        self.cpus = backend.cpus_per_worker
+        self.parts, self.cpus = parts, backend.cpus_per_worker
         self.other_machines: set[str] = set()
         """Identifiers of other machines that workers run on."""
         self.published: Any = None
-        """Ray's reference to the current parameters."""
+        """Ray's reference to the current parameters; None in asynchronous training."""
         connect(backend.address)
 
     def start(self, shard: int) -> "RayConnection":
@@ -151,12 +154,6 @@ class RayLauncher:
             link.kill()
         self.published = None
         disconnect()
-
-    def publish(self, parameters: Parameters) -> None:
-        """Put the parameters into the object store."""
-        # In C order, as in shared memory: the layout affects the rounding of matrix products.
-        ordered = {name: np.ascontiguousarray(array) for name, array in parameters.items()}
-        self.published = ray.put(ordered)
 
     def check_place(self, shard: int, place: Place) -> None:
         """Raise HeadwayError if a worker's package versions differ from those of this process.
@@ -187,6 +184,24 @@ class RayLauncher:
             f"{total:g} are free; it starts as soon as there are enough; a lower backend.workers or "
             "backend.worker_cpus needs fewer"
         )
+
+
+class SamplingRayLauncher(RayLauncher):
+    """Starts Ray workers of synchronous training; parameters and experience move through the object store."""
+
+    def __init__(
+        self, backend: BackendConfig, plan: RolloutPlan, shards: Sequence[Shard], notify: Notify
+    ) -> None:
+        """Connect to the cluster. Raises HeadwayError if that fails."""
+        self.trajectory = Trajectory.allocate(plan.layout)
+        parts = [shard_views(self.trajectory, plan.replicas, shard) for shard in shards]
+        super().__init__(backend, plan, shards, notify, parts)
+
+    def publish(self, parameters: Parameters) -> None:
+        """Put the parameters into the object store."""
+        # In C order, as in shared memory: the layout affects the rounding of matrix products.
+        ordered = {name: np.ascontiguousarray(array) for name, array in parameters.items()}
+        self.published = ray.put(ordered)
 
 
 class RayConnection:

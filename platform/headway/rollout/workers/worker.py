@@ -38,10 +38,10 @@ class WorkerSetup:
     plan: SharedPickle[RolloutPlan] | bytes
     """A pickled `RolloutPlan`, in shared memory if the worker is on this machine."""
     shard: Shard
-    trajectory: SharedBlock | None = None
-    """Trajectory of all workers; None, and for contributors: the worker has one of its shard."""
-    parameters: SharedBlock | dict[str, NDArray[Any]] = field(default_factory=dict)
-    """Parameters of all replicas, which change between commands. Contributors do not use them."""
+    memory: tuple[SharedBlock, SharedBlock] | None = None
+    """Trajectory and parameters of all workers; None: the worker has a trajectory of its shard."""
+    parameters: dict[str, NDArray[Any]] = field(default_factory=dict)
+    """Parameters of all replicas, if they are not in `memory`; they change between commands."""
 
     def open(self) -> "WorkerService":
         """Return the worker's service.
@@ -49,13 +49,11 @@ class WorkerSetup:
         Called in the worker at its first command, so that a loading error becomes an answer.
         """
         plan: RolloutPlan = pickle.loads(self.plan) if isinstance(self.plan, bytes) else self.plan.load()
-        if isinstance(self.parameters, dict):
+        if self.memory is None:
             return WorkerService(plan, self.shard, self.parameters)
-        parameters = arrays_in(self.parameters.buffer, plan.policy.parameter_shapes(plan.replicas))
-        if self.trajectory is None or plan.make_contributor is not None:
-            return WorkerService(plan, self.shard, parameters)
-        trajectory = Trajectory.from_buffer(self.trajectory.buffer, plan.layout)
-        return WorkerService(plan, self.shard, parameters, trajectory)
+        experience, acting = (block.buffer for block in self.memory)
+        parameters = arrays_in(acting, plan.policy.parameter_shapes(plan.replicas))
+        return WorkerService(plan, self.shard, parameters, Trajectory.from_buffer(experience, plan.layout))
 
 
 @dataclass(frozen=True)

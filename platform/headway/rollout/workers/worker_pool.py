@@ -6,11 +6,10 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, Protocol
 
-from headway.contracts import HeadwayError, Trajectory
-from headway.contracts.acting_policy import Parameters
+from headway.contracts import HeadwayError
 from headway.contracts.errors import WorkersLostError
 from headway.events import Usage
-from headway.rollout.collector import restart_purpose
+from headway.rollout.plan import restart_purpose
 from headway.rollout.workers.usage import cpu_seconds_of
 from headway.rollout.workers.worker import (
     Begin,
@@ -63,19 +62,7 @@ class WorkerConnection(Protocol):
 
 
 class WorkerLauncher(Protocol):
-    """Starts workers, as processes of this machine or as Ray workers of a cluster.
-
-    In synchronous training it also moves parameters to the workers, and experience back.
-    """
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """Experience of all workers, complete once they have answered."""
-        ...
-
-    def publish(self, parameters: Parameters) -> None:
-        """Send the acting parameters, arrays (P, ...) by name, which all workers use until the next call."""
-        ...
+    """Starts workers, as processes of this machine or as Ray workers of a cluster."""
 
     def start(self, shard: int) -> WorkerConnection:
         """Start the worker of a shard."""

@@ -67,10 +67,10 @@ import sys, time
 sys.path.insert(0, sys.argv[1])
 from rehearsal import parameters_of, plan_of_toy
 from headway.rollout.pool_collector import PoolCollector
-from headway.rollout.workers.process_workers import ProcessLauncher
+from headway.rollout.workers.process_workers import SamplingProcessLauncher
 
 plan = plan_of_toy("visitors", copies=8, steps=500)
-collector = PoolCollector(plan, ProcessLauncher(plan, plan.shards(3)), 3, print)
+collector = PoolCollector(plan, SamplingProcessLauncher(plan, plan.shards(3)), 3, print)
 collector.begin()
 print("ready", flush=True)
 for iteration in range(10**9):
