@@ -191,7 +191,7 @@ def test_known_and_measured_cells_are_told_apart_and_energy_is_summed_only_if_al
     assert run([*both, "energy=off", "backend=serial"]) == 0
     shown = capsys.readouterr().out
     assert "ippo\t1\t10\t4\t0.1\n" in shown
-    assert "CPU s, energy measured for 1 job only\n" in shown
+    assert "CPU s, energy known for 1 job only\n" in shown
     assert "CodeCarbon" not in shown
 
 
