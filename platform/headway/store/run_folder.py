@@ -57,7 +57,10 @@ class Process:
         if self.host != node():
             return True
         try:
-            return abs(psutil.Process(self.pid).create_time() - self.created) < 1.0
+            process = psutil.Process(self.pid)
+            # A killed process stays as a zombie until its parent asks for its exit code, which not all do.
+            ended = process.status() in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
+            return not ended and abs(process.create_time() - self.created) < 1.0
         except psutil.NoSuchProcess:
             return False
 

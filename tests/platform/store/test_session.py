@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from headway.config.experiment import StoreConfig
@@ -20,7 +21,7 @@ from headway.store.atomic_files import read_json
 from headway.store.checkpoint import save_checkpoint
 from headway.store.index import RunIndex
 from headway.store.parquet_log import RunLog
-from headway.store.run_folder import rules_file
+from headway.store.run_folder import Process, rules_file
 from headway.store.session import Cell, Run, SessionStore
 from headway.store.tracking.client import Tracker
 from headway.store.tracking.sync import Synced, sync
@@ -413,3 +414,13 @@ def test_a_killed_session_leaves_a_run_that_can_be_resumed(root: Path) -> None:
     assert store.close() == ()
     sync(root)
     assert len(_histories(root, run)["train/reward"]) == ITERATIONS
+
+
+def test_a_killed_process_whose_parent_has_not_noticed_has_ended() -> None:
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    process = Process(Process.current().host, child.pid, psutil.Process(child.pid).create_time())
+    assert process.may_live()
+    child.kill()
+    os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)
+    assert not process.may_live()
+    child.wait()
