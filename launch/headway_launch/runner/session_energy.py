@@ -9,6 +9,9 @@ from headway.events import Row
 from headway_launch.runner.recorder import JobRecorder
 from headway_launch.runner.session_job import SessionJob
 
+_noticed: set[str] = set()
+"""Lines for the user so far: a process may run several sessions, as many as a search has rungs."""
+
 
 class SessionEnergy:
     """Divides the measured energy among the jobs of a session and stores each one's share in its runs."""
@@ -50,8 +53,10 @@ class SessionEnergy:
         return {job.account: job.recorder for job in jobs if job.recorder and job.stored_status == "RUNNING"}
 
     def notices(self) -> tuple[str, ...]:
-        """Return the lines for the user since the last call."""
-        return self._meter.notices() if self._meter else ()
+        """Return the lines for the user since the last call, without those of earlier sessions."""
+        lines = [line for line in (self._meter.notices() if self._meter else ()) if line not in _noticed]
+        _noticed.update(lines)
+        return tuple(lines)
 
     def stop(self) -> dict[str, float]:
         """Stop measuring; return the machine's energy in kWh, and the parts of it that no run used."""
