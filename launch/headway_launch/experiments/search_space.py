@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import prod
+from math import e, prod
 from typing import Any
 
 from headway.config.schema import build, suggestion
@@ -46,8 +46,9 @@ class Range:
 
     @property
     def ends(self) -> tuple[Value, ...]:
-        """The bounds."""
-        return (self.low, self.high)
+        """The bounds, and of fractions one between them: a key of whole numbers refuses it."""
+        low, high = self.low, self.high
+        return (low, high) if self.whole else (low, high, low + (self.step or (high - low) / e))
 
     def grid(self, key: str) -> tuple[Value, ...]:
         """Return the numbers of a grid. Raises HeadwayError for a range without steps."""
@@ -108,7 +109,7 @@ def read_piece(name: str) -> Piece:
 
 def dimensions(space: Mapping[str, Any], path: str) -> dict[str, Dimension]:
     """Return the dimensions of a mapping in YAML. Raises HeadwayError for one that is not valid."""
-    return {key: _dimension(key, value, f"{path}.{key}") for key, value in space.items()}
+    return {key: _dimension(str(key), value, f"{path}.{key}") for key, value in space.items()}
 
 
 def _dimension(key: str, value: object, path: str) -> Dimension:
@@ -169,7 +170,7 @@ def candidate_overrides(space: Space, values: Mapping[str, Value]) -> tuple[str,
 
 
 def corners(space: Space) -> list[dict[str, Value]]:
-    """Return candidates among which every bound of a range and every choice occurs."""
+    """Return candidates among which all of `ends` of each dimension occur."""
     ends = {key: dimension.ends for key, dimension in space.items()}
     return [
         {key: known[place % len(known)] for key, known in ends.items()}

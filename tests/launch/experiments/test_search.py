@@ -90,7 +90,7 @@ def test_dimensions_are_ranges_lists_or_named_overrides() -> None:
         },
         "space",
     )
-    assert [place.get("algo.epochs") for place in corners(space)] == [2, 8]
+    assert [place.get("algo.epochs") for place in corners(space)] == [2, 8, 2]
     values = {"algo.lr": 0.01, "algo.epochs": 5, "algo.model.hidden": "[128]", "reward": "own"}
     assert candidate_overrides(space, values) == (
         "env.training_args.reward={scope:own}", "algo.gamma=0.9",
@@ -120,6 +120,9 @@ def space(text: str) -> str:
         (space("algo.lr: 3"), "space.algo.lr is empty or no dimension"),
         (space("algo.lr: {low: 2, high: 1}"), "algo.lr.low must be below high=1, not 2"),
         (space("algo.lr: {low: 0, high: 1, log: true}"), "log needs low above 0"),
+        (space("3: [1, 2]"), "space.3 cannot be searched"),
+        (space("algo.epochs: {low: 1, high: 4, step: 0.5}"), "ippo: algo.epochs=1.5 is a number"),
+        (space("algo.epochs: {low: 1.0, high: 4.0}"), "where a whole number is expected"),
         (space("algo.lr: {low: 0, hihg: 1}"), "did you mean search/mine.space.algo.lr.high?"),
         (space("algo.lr: [1, 1]"), "lists a value twice"),
         (space("algo.kl_bound: [0.1, 0.2]"), "ippo: algo.kl_bound"),
