@@ -1,6 +1,6 @@
 """Hyper-parameter searches: the files of configs/search and the experiments of their candidates."""
 
-import re
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import ceil
@@ -13,6 +13,7 @@ from headway.contracts.errors import HeadwayError
 from headway.registry import algo_entries
 from headway_launch.experiments.compose import Experiment, compose, composer
 from headway_launch.experiments.options import config_file, options
+from headway_launch.experiments.parameters import flat, full_mapping, identity
 from headway_launch.experiments.search_space import (
     Space,
     Value,
@@ -31,8 +32,6 @@ FIRST_SEED = 9_001
 """First training seed of candidates, which no study may report."""
 EVALUATION_SEED = 3_000_017
 """Root of the evaluation seeds of candidates: their episodes are not those on which studies are evaluated."""
-_WHERE = re.compile(r"(store|energy|backend(?!\.stack))\b")
-"""Overrides of where and how candidates are trained, which may change while a search is interrupted."""
 _REFUSED = {
     "seed": f"candidates train on seeds from {FIRST_SEED} on, which no study reports; seeds is their number",
     "env_steps": "the steps of a candidate are the search's own key env_steps",
@@ -112,6 +111,10 @@ class Search:
         """Column of the learning curve by which candidates are scored."""
         return self.metric if "/" in self.metric else f"evaluation_greedy/{self.metric}"
 
+    def loss(self, score: float) -> float:
+        """Return the score with the sign by which the best candidate has the least."""
+        return score if self.lower_is_better else -score
+
     @property
     def ends(self) -> tuple[int, ...]:
         """Environment steps at each rung, and at the end."""
@@ -121,12 +124,8 @@ class Search:
         """Return how many candidates of a batch are trained up to each of `ends`."""
         left = [batch]
         for _ in self.rungs:
-            left.append(self.kept(left[-1]))
+            left.append(ceil(self.keep * left[-1] - 1e-9))
         return left
-
-    def kept(self, candidates: int) -> int:
-        """Return how many of `candidates` are continued after a rung."""
-        return ceil(self.keep * candidates - 1e-9)
 
 
 @dataclass(frozen=True)
@@ -172,15 +171,24 @@ class AlgorithmSearch:
         )
 
     @property
+    def first(self) -> Experiment:
+        """Experiment with the first bound of each range and the first of each list of choices."""
+        return self.experiment(0, corners(self.space)[0])
+
+    @property
     def settings(self) -> dict[str, Any]:
-        """All that decides which candidates are drawn, how they are trained and which are continued."""
-        search = plain(self.search)
+        """All that decides which candidates are drawn, how they are trained and which are continued.
+
+        The experiment is written out: a change of its file, or of a preset, is a change of the search.
+        """
         ignored = ("algorithms", "candidates", "pieces", "base")
         batch = self.search.candidates if self.search.rungs and not self.search.batch else self.search.batch
+        trained, stack = json.loads(identity(full_mapping(self.first, ())))
         return {
-            **{key: value for key, value in search.items() if key not in ignored},
+            **dict(flat(trained, with_empty=True)),
+            "backend.stack": stack,
+            **{key: value for key, value in plain(self.search).items() if key not in ignored},
             "batch": batch,
-            "overrides": [word for word in self.overrides if not _WHERE.match(word)],
             "space": {key: plain(dimension) for key, dimension in self.space.items()},
         }
 
@@ -200,7 +208,7 @@ def read_search(name: str, overrides: Sequence[str] = ()) -> list[AlgorithmSearc
     search = build(Search, content, f"search/{name}")
     others = [word for word in overrides if word not in given]
     parts = [_of_algorithm(name, search, label, others) for label in search.algorithms]
-    require_one_session([part.experiment(0, corners(part.space)[0]) for part in parts])
+    require_one_session([part.first for part in parts])
     if useless := [piece for piece in search.pieces if not any(_has(part, piece) for part in parts)]:
         raise HeadwayError(
             f"search/{name}: no algorithm of this search has the piece {useless[0]}; leave it out"

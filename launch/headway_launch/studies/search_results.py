@@ -13,7 +13,7 @@ from headway_launch.console.tables import Value, print_table, without_empty
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.options import own_configs
 from headway_launch.experiments.override_words import written
-from headway_launch.experiments.parameters import full_mapping
+from headway_launch.experiments.parameters import flat, full_mapping
 from headway_launch.experiments.search import AlgorithmSearch
 from headway_launch.experiments.search_space import candidate_overrides
 from headway_launch.studies.search_session import Candidate, SearchSession
@@ -44,8 +44,7 @@ class AlgorithmResult:
     @property
     def best(self) -> Candidate | None:
         """The best of the candidates that were trained to the end; None if there is none."""
-        done = [each for each in self.ranked if each.trial.state == "COMPLETE"]
-        return done[0] if done else None
+        return next((each for each in self.ranked if each.trial.state == "COMPLETE"), None)
 
     def steps_of(self, candidate: Candidate) -> int:
         """Return the environment steps that a candidate was trained, over its seeds."""
@@ -73,15 +72,15 @@ def results_of(session: SearchSession) -> list[AlgorithmResult]:
     for part in session.parts:
         candidates = session.candidates(part)
         scored = [each for each in candidates if each.trial.score is not None]
-        sign = 1 if part.search.lower_is_better else -1
-
-        def rank(candidate: Candidate, sign: int = sign) -> tuple[int, float, int]:
-            assert candidate.trial.score is not None
-            return -max(candidate.trial.scores), sign * candidate.trial.score, candidate.trial.number
-
         failed = sum(each.trial.state == "FAIL" for each in candidates)
-        results.append(AlgorithmResult(part, sorted(scored, key=rank), failed, session.runs_of(candidates)))
+        results.append(AlgorithmResult(part, sorted(scored, key=_rank), failed, session.runs_of(candidates)))
     return results
+
+
+def _rank(candidate: Candidate) -> tuple[int, float]:
+    """Return the key by which the best candidate is the first: trained longest, then scored best."""
+    assert candidate.trial.score is not None
+    return -max(candidate.trial.scores), candidate.part.search.loss(candidate.trial.score)
 
 
 def print_results(results: Sequence[AlgorithmResult]) -> None:
@@ -198,7 +197,7 @@ def write_preset(results: Sequence[AlgorithmResult], path: Path, search: str) ->
     for result in results:
         if result.best is not None:
             name = result.best.experiment.algo_name
-            winners[name] = min(winners.get(name, result), result, key=_loss)
+            winners[name] = min(winners.get(name, result), result, key=lambda each: _rank(each.ranked[0]))
     if not winners:
         raise HeadwayError("no candidate has been trained to the end yet: repeat the search to continue it")
     values: dict[str, Any] = {}
@@ -219,12 +218,6 @@ def write_preset(results: Sequence[AlgorithmResult], path: Path, search: str) ->
     write_text(path, comment + yaml.safe_dump(values, sort_keys=False))
     notes = [line for name, result in winners.items() for line in _overridden(name, result, path)]
     return list(winners), notes
-
-
-def _loss(result: AlgorithmResult) -> float:
-    assert result.best is not None
-    assert result.best.trial.score is not None
-    return result.best.trial.score * (1 if result.part.search.lower_is_better else -1)
 
 
 def _tuned(result: AlgorithmResult, best: Candidate) -> dict[str, Any]:
@@ -251,28 +244,13 @@ def task_words(part: AlgorithmSearch) -> list[str]:
 def _overridden(name: str, result: AlgorithmResult, path: Path) -> list[str]:
     """Return lines on keys of the best candidate that its task sets itself, over any preset."""
     assert result.best is not None
-    folder = str(path.parent.parent)
-    with own_configs(folder):
+    with own_configs(str(path.parent.parent)):
         given = compose([*task_words(result.part), f"algo={name}", f"preset={path.stem}"])
-    lines = []
-    theirs, ours = (full_mapping(each, ()) for each in (given, result.best.experiment))
-    for key in _keys_of(_tuned(result, result.best)):
-        value, other = ours, theirs
-        for part in key.split("."):
-            value, other = value[part], other[part]
-        if value != other:
-            lines.append(
-                f"headway: {name}: the experiment sets {key} over any preset; add {key}={written(value)}"
-            )
-    return lines
-
-
-def _keys_of(nested: Mapping[str, Any], path: str = "") -> list[str]:
-    """Return the dotted keys of the values that a preset sets."""
-    keys = []
-    for key, value in nested.items():
-        if isinstance(value, Mapping) and value:
-            keys += _keys_of(value, f"{path}{key}.")
-        else:
-            keys.append(f"{path}{key}")
-    return keys
+    theirs, ours = (
+        dict(flat(full_mapping(each, ()), with_empty=True)) for each in (given, result.best.experiment)
+    )
+    return [
+        f"headway: {name}: the experiment sets {key} over any preset; add {key}={written(value)}"
+        for key, value in ours.items()
+        if key.startswith(_TUNED) and theirs.get(key) != value
+    ]

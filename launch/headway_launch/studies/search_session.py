@@ -23,9 +23,9 @@ from headway_launch.studies.plan import StudyProgress, plan_cells
 from headway_launch.studies.session import require_all_ended
 from headway_launch.studies.trials import Trial, Trials
 
+_LOCK_SECONDS = 5.0
 _TRIES = 2
-"""Trainings of a candidate until it has failed. One may fail for a passing reason, such as a process of a
-session just killed that still writes."""
+"""Trainings of a candidate until it has failed: the first may fail for a passing reason, such as memory."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class SearchSession:
         Raises HeadwayError as `Trials` does.
         """
         self.parts, self.search = tuple(parts), parts[0].search
-        self.config: ExperimentConfig = parts[0].experiment(0, _any(parts[0])).config
+        self.config: ExperimentConfig = parts[0].first.config
         self.root = Path(self.config.store.root)
         self.database = search_database(self.root, self.config.study)
         if stored:
@@ -84,7 +84,8 @@ class SearchSession:
         candidates of a batch fail.
         """
         lock = self.database.with_suffix(".lock")
-        with locked(lock, 0.0, "this search was run"):
+        # A session that was just killed holds its lock until it has ended.
+        with locked(lock, _LOCK_SECONDS, "another session ran this search"):
             batches = max(len(part.batches) for part in self.parts)
             for place in range(batches):
                 batch = self.drawn(place)
@@ -145,39 +146,29 @@ class SearchSession:
                 if (score := scores.get(candidate.key)) is None:
                     states[candidate.key] = "FAIL"
                 else:
+                    states[candidate.key] = "COMPLETE" if env_steps == self.search.env_steps else "PRUNED"
                     self._trials[candidate.part.label].report(candidate.trial.number, env_steps, score)
             if not scores:
                 raise HeadwayError(
                     f"all candidates of {name} have failed; their folders in "
                     f"{self.root / self.config.study} have the tracebacks; mend the cause and repeat this"
                 )
-            kept = self._best(left, scores, rung)
-            for candidate in left:
-                if candidate.key in scores:
-                    last = env_steps == self.search.env_steps
-                    states[candidate.key] = "COMPLETE" if last else "PRUNED"
-            left = kept
+            left = self._best(batch, scores, rung)
         for (label, number), state in states.items():
             self._trials[label].end(number, state)
         return EXIT_DONE
 
     def _best(
-        self, candidates: Sequence[Candidate], scores: Mapping[tuple[str, int], float], rung: int
+        self, batch: Sequence[Candidate], scores: Mapping[tuple[str, int], float], rung: int
     ) -> list[Candidate]:
         """Return the candidates of each algorithm that are continued after a rung, of equals the earlier."""
-        sign = 1 if self.search.lower_is_better else -1
-        kept: list[Candidate] = []
+        kept = set[tuple[str, int]]()
         for part in self.parts:
-            scored = {
-                candidate.trial.number: scores[part.label, candidate.trial.number]
-                for candidate in candidates
-                if candidate.part is part and (part.label, candidate.trial.number) in scores
-            }
-            of_batch = max((len(each) for each in part.batches if scored.keys() & set(each)), default=0)
-            count = [*self.search.left_at(of_batch), 0][rung + 1]
-            best = sorted(scored, key=lambda number: (sign * scored[number], number))[:count]
-            kept += [each for each in candidates if each.part is part and each.trial.number in best]
-        return kept
+            own = [candidate.key for candidate in batch if candidate.part is part]
+            scored = [key for key in own if key in scores]
+            count = [*self.search.left_at(len(own)), 0][rung + 1]
+            kept |= set(sorted(scored, key=lambda key: self.search.loss(scores[key]))[:count])
+        return [candidate for candidate in batch if candidate.key in kept]
 
     def _train(self, candidates: Sequence[Candidate], env_steps: int, debug: bool) -> int:
         """Train candidates up to `env_steps`, from their checkpoints on; return the exit code.
@@ -242,10 +233,6 @@ class SearchSession:
             if failed:
                 names = ", ".join(str(each.trial.number) for each in failed)
                 print_line(f"headway: {counted(len(failed), 'candidate')} of {part.label} failed: {names}")
-
-
-def _any(part: AlgorithmSearch) -> dict[str, float | int | str]:
-    return {key: dimension.ends[0] for key, dimension in part.space.items()}
 
 
 def _runs(progress: StudyProgress) -> tuple[StoredRun, ...]:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from headway.contracts.checks import shown
 from headway.contracts.errors import HeadwayError, one_line
@@ -58,6 +58,7 @@ class Trials:
         from sqlalchemy.exc import SQLAlchemyError
 
         optuna, part = self._optuna, self._part
+        now = json.loads(json.dumps(part.settings, default=str))
         try:
             storage = None if path is None else optuna.storages.RDBStorage(f"sqlite:///{path}")
             study: Study = optuna.create_study(
@@ -68,16 +69,16 @@ class Trials:
             )
             before = study.user_attrs.get(_SETTINGS)
             if before is None:
-                study.set_user_attr(_SETTINGS, part.settings)
+                study.set_user_attr(_SETTINGS, now)
         except (SQLAlchemyError, RuntimeError, optuna.exceptions.OptunaError) as error:
             raise HeadwayError(
                 f"{path} cannot be used as Optuna's database ({shown(one_line(error))}); move it"
             ) from error
-        if before is not None and before != (now := _as_stored(part.settings)):
-            changed = next(key for key in now if before.get(key) != now[key])
+        if before is not None and before != now:
+            changed = next(key for key in {**now, **before} if before.get(key) != now.get(key))
             raise HeadwayError(
                 f"{part.label}: this search has begun with {changed}={shown(before.get(changed))}, not "
-                f"{shown(now[changed])} ({path}); restore it, or give the search another study=NAME"
+                f"{shown(now.get(changed))} ({path}); restore it, or give the search another study=NAME"
             )
         return study
 
@@ -161,9 +162,3 @@ def _optuna() -> ModuleType:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     module: ModuleType = optuna
     return module
-
-
-def _as_stored(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings as JSON returns them."""
-    restored: dict[str, Any] = json.loads(json.dumps(settings))
-    return restored

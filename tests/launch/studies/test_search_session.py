@@ -15,6 +15,7 @@ from headway.store.parquet_log import read_rows
 from headway_launch.experiments.options import own_configs
 from headway_launch.experiments.search import read_search
 from headway_launch.runner.runner import EXIT_DONE, EXIT_STOPPED, Runner
+from headway_launch.studies import search_session
 from headway_launch.studies.search_results import results_of, write_preset
 from headway_launch.studies.search_session import Candidate, SearchSession
 from headway_launch.studies.trials import Trials
@@ -181,12 +182,28 @@ def test_results_have_the_best_and_a_preset_with_it(
     assert notes[0].startswith("headway: ippo: the experiment sets algo.lr over any preset; add algo.lr=")
 
 
+def test_an_experiment_that_was_edited_is_noticed(opened: Opened, tmp_path: Path) -> None:
+    (tmp_path / "experiment").mkdir()
+    file = tmp_path / "experiment" / "ours.yaml"
+    text = (tmp_path / "search" / "small.yaml").read_text()
+    (tmp_path / "search" / "small.yaml").write_text(text.replace("env=trivial", "experiment=ours"))
+    file.write_text("env: trivial\nalgo: {gamma: 0.9}\n")
+    opened("runs")
+    file.write_text("# the same\nenv: trivial\nalgo: {gamma: 0.9}\n")
+    opened("runs", "store.checkpoint_every=7", "backend.parallel=1")
+    file.write_text("env: trivial\nalgo: {gamma: 0.8}\n")
+    with pytest.raises(HeadwayError, match=r"ippo: this search has begun with algo\.gamma=0\.9, not 0\.8 "):
+        opened("runs")
+
+
 @pytest.mark.usefixtures("untrained")
-def test_one_session_at_a_time_runs_a_search(opened: Opened) -> None:
+def test_one_session_at_a_time_runs_a_search(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search_session, "_LOCK_SECONDS", 0.0)
     session = opened("runs")
+    line = r"search_small\.lock stayed locked .* while another session ran this search: end the session"
     with (
         locked(session.database.with_suffix(".lock"), 0.0, "tested"),
-        pytest.raises(HeadwayError, match=r"search_small\.lock stayed locked .* while this search was run"),
+        pytest.raises(HeadwayError, match=line),
     ):
         session.run()
 

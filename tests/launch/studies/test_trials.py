@@ -23,7 +23,8 @@ GRID = {"algo.epochs": {"low": 1, "high": 3}, "algo.clip": [0.1, 0.2]}
 def part(label: str = "ippo", space: dict[str, Any] = SPACE, **keys: Any) -> AlgorithmSearch:  # noqa: ANN401 - any key
     settings = {"base": (), "algorithms": {label: ()}, "candidates": 8, "env_steps": 100, "batch": 4, **keys}
     search = Search(**settings)
-    return AlgorithmSearch(label, dimensions(space, "space"), (), search, search.candidates)
+    overrides = ("env=trivial", f"algo={label}")
+    return AlgorithmSearch(label, dimensions(space, "space"), overrides, search, search.candidates)
 
 
 def score(trial: Trial) -> float:
