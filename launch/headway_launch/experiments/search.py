@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from math import ceil
+from math import ceil, prod
 from typing import Any, Literal
 
 from headway.config.experiment import ExperimentConfig
@@ -11,7 +11,7 @@ from headway.config.schema import build, plain, suggestion
 from headway.contracts.checks import require_key, require_value
 from headway.contracts.errors import HeadwayError
 from headway.registry import algo_entries
-from headway_launch.experiments.compose import Experiment, compose, composer
+from headway_launch.experiments.compose import Experiment, PreparedEnv, compose, composer
 from headway_launch.experiments.options import config_file, options
 from headway_launch.experiments.parameters import flat, full_mapping, identity
 from headway_launch.experiments.search_space import (
@@ -21,7 +21,7 @@ from headway_launch.experiments.search_space import (
     chosen_overrides,
     corners,
     dimensions,
-    grid_size,
+    grid,
     names_of_choices,
     read_piece,
 )
@@ -32,6 +32,8 @@ FIRST_SEED = 9_001
 """First training seed of candidates, which no study may report."""
 EVALUATION_SEED = 3_000_017
 """Root of the evaluation seeds of candidates: their episodes are not those on which studies are evaluated."""
+_OF_ALL_EPISODES = ("return", "length")
+"""Metrics of the episodes of all environments."""
 _REFUSED = {
     "seed": f"candidates train on seeds from {FIRST_SEED} on, which no study reports; seeds is their number",
     "env_steps": "the steps of a candidate are the search's own key env_steps",
@@ -209,6 +211,7 @@ def read_search(name: str, overrides: Sequence[str] = ()) -> list[AlgorithmSearc
     others = [word for word in overrides if word not in given]
     parts = [_of_algorithm(name, search, label, others) for label in search.algorithms]
     require_one_session([part.first for part in parts])
+    _require_column(parts)
     if useless := [piece for piece in search.pieces if not any(_has(part, piece) for part in parts)]:
         raise HeadwayError(
             f"search/{name}: no algorithm of this search has the piece {useless[0]}; leave it out"
@@ -257,10 +260,8 @@ def _of_algorithm(name: str, search: Search, label: str, given: Sequence[str]) -
             f"search/{name}: {label} has nothing to search: no dimension in space, and none of pieces "
             f"({', '.join(search.pieces) or 'none'}) is one of {algorithm}"
         )
-    named = (
-        [] if any(word.startswith("algo=") for word in search.algorithms[label]) else [f"algo={algorithm}"]
-    )
-    chosen = (*search.base, *named, *search.algorithms[label], *given)
+    own = [word for word in search.algorithms[label] if not word.startswith("algo=")]
+    chosen = (*search.base, f"algo={algorithm}", *own, *given)
     for word in chosen:
         key = word.lstrip("+~").partition("=")[0]
         if key in _REFUSED:
@@ -275,7 +276,7 @@ def _of_algorithm(name: str, search: Search, label: str, given: Sequence[str]) -
     fixed = (f"seed={','.join(map(str, search.training_seeds))}", f"env_steps={search.env_steps}")
     candidates = search.candidates
     if search.sampler == "grid":
-        candidates = grid_size(space)
+        candidates = prod(map(len, grid(space).values()))
         if candidates > search.candidates:
             raise HeadwayError(
                 f"search/{name}: the grid of {label} has {candidates:,} candidates, more than the budget of "
@@ -298,6 +299,18 @@ def _require_unreported(search: Search, label: str, overrides: Sequence[str]) ->
             f"the experiment of this search reports seed {shared[0]}, on which candidates are trained (from "
             f"{FIRST_SEED} on): a winner looks better than it is on seeds that selected it; report others"
         )
+
+
+def _require_column(parts: Sequence[AlgorithmSearch]) -> None:
+    """Raise HeadwayError if evaluations have no such metric, as far as this is known before training."""
+    search, known = parts[0].search, dict[str, PreparedEnv]()
+    group, _, name = search.curve.partition("/")
+    if not group.startswith("evaluation_") or name in _OF_ALL_EPISODES:
+        return
+    for part in parts:
+        columns = [*_OF_ALL_EPISODES, *part.first.prepare(known).spec.metrics]
+        if name not in columns:
+            raise HeadwayError(f"metric={search.metric}: no such metric; {suggestion(name, columns)}")
 
 
 def _require_scores(search: Search, config: ExperimentConfig) -> None:

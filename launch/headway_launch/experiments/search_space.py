@@ -1,8 +1,8 @@
 """Search spaces: dimensions, the pieces in configs/space, and the overrides of a candidate."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import e, prod
+from math import e
 from typing import Any
 
 from headway.config.schema import build, suggestion
@@ -109,7 +109,7 @@ def read_piece(name: str) -> Piece:
 
 def dimensions(space: Mapping[str, Any], path: str) -> dict[str, Dimension]:
     """Return the dimensions of a mapping in YAML. Raises HeadwayError for one that is not valid."""
-    return {key: _dimension(str(key), value, f"{path}.{key}") for key, value in space.items()}
+    return {key: _dimension(key, value, f"{path}.{key}") for key, value in space.items()}
 
 
 def _dimension(key: str, value: object, path: str) -> Dimension:
@@ -144,14 +144,24 @@ def _require_searched(key: str, path: str) -> None:
         raise HeadwayError(f"{path} cannot be searched: candidates differ in keys of {', '.join(_SEARCHED)}")
 
 
-def chosen_overrides(space: Space, values: Mapping[str, Value]) -> tuple[str, ...]:
-    """Return the overrides of the named alternatives of a candidate."""
-    return tuple(
-        word
+def _alternatives(space: Space) -> dict[str, Choices]:
+    """Return the dimensions whose choices are named lists of overrides."""
+    return {
+        key: dimension
         for key, dimension in space.items()
         if isinstance(dimension, Choices) and dimension.named
-        for word in dimension.choices[str(values[key])]
-    )
+    }
+
+
+def names_of_choices(space: Space, values: Mapping[str, Value]) -> list[str]:
+    """Return the names that the search file gives to a candidate's choices."""
+    return [str(values[key]) for key in _alternatives(space)]
+
+
+def chosen_overrides(space: Space, values: Mapping[str, Value]) -> tuple[str, ...]:
+    """Return the overrides of the named alternatives of a candidate."""
+    named = _alternatives(space).items()
+    return tuple(word for key, dimension in named for word in dimension.choices[str(values[key])])
 
 
 def candidate_settings(space: Space, values: Mapping[str, Value]) -> dict[str, Any]:
@@ -159,7 +169,7 @@ def candidate_settings(space: Space, values: Mapping[str, Value]) -> dict[str, A
     return {
         key: values[key] if isinstance(dimension, Range) else dimension.choices[str(values[key])]
         for key, dimension in space.items()
-        if isinstance(dimension, Range) or not dimension.named
+        if key not in _alternatives(space)
     }
 
 
@@ -181,17 +191,3 @@ def corners(space: Space) -> list[dict[str, Value]]:
 def grid(space: Space) -> dict[str, tuple[Value, ...]]:
     """Return the values of each dimension of a grid. Raises HeadwayError for a range without steps."""
     return {key: dimension.grid(key) for key, dimension in space.items()}
-
-
-def grid_size(space: Space) -> int:
-    """Return the number of candidates of a grid."""
-    return prod(map(len, grid(space).values()))
-
-
-def names_of_choices(space: Space, values: Mapping[str, Value]) -> Sequence[str]:
-    """Return the names that the search file gives to a candidate's choices."""
-    return [
-        str(values[key])
-        for key, dimension in space.items()
-        if isinstance(dimension, Choices) and dimension.named
-    ]

@@ -8,10 +8,9 @@ from pathlib import Path
 from headway.config.experiment import ExperimentConfig, last_iterations
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
-from headway.store.atomic_files import locked, make_folder
+from headway.store.atomic_files import locked
 from headway.store.index import RunIndex, RunRow
 from headway.store.run_folder import search_database
-from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment
 from headway_launch.experiments.parameters import full_mapping, identity
@@ -70,8 +69,6 @@ class SearchSession:
         self.config: ExperimentConfig = parts[0].first.config
         self.root = Path(self.config.store.root)
         self.database = search_database(self.root, self.config.study)
-        if stored:
-            make_folder(self.database.parent)
         self._trials = {
             part.label: Trials(part, self.database.resolve() if stored else None) for part in parts
         }
@@ -225,14 +222,6 @@ class SearchSession:
                 return math.nan
             values.append(final_reward(list(points), list(points.values())))
         return sum(values) / len(values)
-
-    def print_failed(self) -> None:
-        """Print which candidates have failed."""
-        for part in self.parts:
-            failed = [each for each in self.candidates(part) if each.trial.state == "FAIL"]
-            if failed:
-                names = ", ".join(str(each.trial.number) for each in failed)
-                print_line(f"headway: {counted(len(failed), 'candidate')} of {part.label} failed: {names}")
 
 
 def _runs(progress: StudyProgress) -> tuple[StoredRun, ...]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from headway.contracts.checks import shown
 from headway.contracts.errors import HeadwayError, one_line
+from headway.store.atomic_files import make_folder
 from headway_launch.experiments.search import AlgorithmSearch
 from headway_launch.experiments.search_space import Choices, Dimension, Value, grid
 
@@ -59,6 +60,8 @@ class Trials:
 
         optuna, part = self._optuna, self._part
         now = json.loads(json.dumps(part.settings, default=str))
+        if path is not None:
+            make_folder(path.parent)
         try:
             storage = None if path is None else optuna.storages.RDBStorage(f"sqlite:///{path}")
             study: Study = optuna.create_study(

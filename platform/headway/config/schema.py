@@ -260,6 +260,8 @@ def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any anno
         if not isinstance(value, Mapping):
             raise _wrong_type(type_name(hint), value, key)
         inner = arguments[1] if len(arguments) == 2 else Any
+        if numbers := [name for name in value if not isinstance(name, str)]:
+            raise HeadwayError(f"{key} has the key {numbers[0]}, which is not text; write it in quotes")
         return {name: _convert(inner, item, f"{key}.{name}") for name, item in value.items()}
     if isinstance(origin, type) and issubclass(origin, Sequence):
         return _convert_sequence(hint, value, key)

@@ -94,9 +94,10 @@ def test_a_database_of_other_settings_is_refused_and_kept(tmp_path: Path) -> Non
     assert bad.read_text() == "no database"
 
 
-def test_a_missing_optuna_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_optuna_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(__import__("sys").modules, "optuna", None)
     with pytest.raises(
         HeadwayError, match=r"needs Optuna, which is an extra: pip install .headway\[search\]"
     ):
-        Trials(part(), None)
+        Trials(part(), tmp_path / "searches" / "one.db")
+    assert not any(tmp_path.iterdir())
