@@ -91,7 +91,6 @@ def _print(session: "SearchSession", name: str) -> None:
     results = results_of(session)
     with ignore_closed_pipe(sys.stdout):
         print_results(results)
-    session.print_failed()
     picture = session.database.with_suffix(".png")
     if write_picture(results, picture):
         print_line(f"expected best of n candidates: {relative(picture)}")

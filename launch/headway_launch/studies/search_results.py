@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from headway.config.experiment import NO_PRESET
-from headway.contracts.errors import HeadwayError
 from headway.stats.best_of import BestOf, expected_best
 from headway.store.atomic_files import make_folder, write_text
 from headway_launch.console.tables import Value, print_table, without_empty
@@ -198,30 +197,24 @@ def write_preset(results: Sequence[AlgorithmResult], path: Path, search: str) ->
         if result.best is not None:
             name = result.best.experiment.algo_name
             winners[name] = min(winners.get(name, result), result, key=lambda each: _rank(each.ranked[0]))
-    if not winners:
-        raise HeadwayError("no candidate has been trained to the end yet: repeat the search to continue it")
-    values: dict[str, Any] = {}
-    bases = []
-    for name, result in winners.items():
-        assert result.best is not None
-        values[name] = _tuned(result, result.best)
-        bases.append(result.best.experiment.config.preset)
-    base = next((each for each in bases if each not in ("", NO_PRESET)), None)
-    make_folder(path.parent)
-    if base is not None:
+    values: dict[str, Any] = {name: _tuned(result) for name, result in winners.items()}
+    bases = [result.ranked[0].experiment.config.preset for result in winners.values()]
+    if base := next((each for each in bases if each not in ("", NO_PRESET)), None):
         values = {"defaults": [base, "_self_"], **values}
-    budget = winners[next(iter(winners))].part
+    budget = results[0].part.search
     comment = (
-        f"# Found by `headway search {search}`: the best of {budget.search.candidates} per algorithm, "
-        f"{budget.search.env_steps:,} steps each.\n"
+        f"# Found by `headway search {search}`: the best of {budget.candidates} per algorithm, "
+        f"{budget.env_steps:,} steps each.\n"
     )
+    make_folder(path.parent)
     write_text(path, comment + yaml.safe_dump(values, sort_keys=False))
     notes = [line for name, result in winners.items() for line in _overridden(name, result, path)]
     return list(winners), notes
 
 
-def _tuned(result: AlgorithmResult, best: Candidate) -> dict[str, Any]:
+def _tuned(result: AlgorithmResult) -> dict[str, Any]:
     """Return what a preset sets for the best candidate, as nested mappings."""
+    best = result.ranked[0]
     words = (*result.part.overrides, *candidate_overrides(result.part.space, best.trial.values))
     mapping = full_mapping(best.experiment, ())
     nested: dict[str, Any] = {}
@@ -243,11 +236,10 @@ def task_words(part: AlgorithmSearch) -> list[str]:
 
 def _overridden(name: str, result: AlgorithmResult, path: Path) -> list[str]:
     """Return lines on keys of the best candidate that its task sets itself, over any preset."""
-    assert result.best is not None
     with own_configs(str(path.parent.parent)):
         given = compose([*task_words(result.part), f"algo={name}", f"preset={path.stem}"])
     theirs, ours = (
-        dict(flat(full_mapping(each, ()), with_empty=True)) for each in (given, result.best.experiment)
+        dict(flat(full_mapping(each, ()), with_empty=True)) for each in (given, result.ranked[0].experiment)
     )
     return [
         f"headway: {name}: the experiment sets {key} over any preset; add {key}={written(value)}"
