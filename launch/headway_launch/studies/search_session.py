@@ -84,6 +84,10 @@ class SearchSession:
         # A session that was just killed holds its lock until it has ended.
         with locked(lock, _LOCK_SECONDS, "another session ran this search"):
             batches = max(len(part.batches) for part in self.parts)
+            if self.search.sampler != "tpe":
+                # Values that do not go together are found before anything is trained.
+                for place in range(batches):
+                    self.drawn(place)
             for place in range(batches):
                 batch = self.drawn(place)
                 if all(candidate.trial.state != "RUNNING" for candidate in batch):

@@ -182,6 +182,18 @@ def test_results_have_the_best_and_a_preset_with_it(
     assert notes[0].startswith("headway: ippo: the experiment sets algo.lr over any preset; add algo.lr=")
 
 
+def test_values_that_do_not_go_together_are_told_before_training(
+    opened: Opened, untrained: Untrained, tmp_path: Path
+) -> None:
+    """Here in the last batch."""
+    text = SEARCH.replace("rollout.copies=2, rollout.block=2,", "").split("space:")[0]
+    space = "space: {rollout.copies: [3, 4], rollout.block: [1, 2]}\nsampler: grid\nsampler_seed: 1\n"
+    (tmp_path / "search" / "small.yaml").write_text(text.replace("batch: 2", "batch: 1") + space)
+    with pytest.raises(HeadwayError, match=r"ippo: rollout\.block must divide copies \(3\), not 2"):
+        opened("runs").run()
+    assert not untrained.trained
+
+
 def test_an_experiment_that_was_edited_is_noticed(opened: Opened, tmp_path: Path) -> None:
     (tmp_path / "experiment").mkdir()
     file = tmp_path / "experiment" / "ours.yaml"
