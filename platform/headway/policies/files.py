@@ -217,8 +217,8 @@ def load_policy(source: str | Path, best: bool = False) -> Policy:
     path = Path(source)
     if path.suffix == ".pt" and path.is_file():
         raise HeadwayError(
-            f"{path}: TorchScript is a program, which may do anything: load files that you trust by "
-            "torch.jit.load; load_policy reads .npz and .onnx"
+            f"{path}: a TorchScript file is a program: load one that you trust with torch.jit.load; "
+            "load_policy reads .npz and .onnx"
         )
     if not path.is_dir():
         if best:
