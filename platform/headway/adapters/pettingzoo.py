@@ -38,6 +38,7 @@ Infos = Mapping[str, Mapping[str, Any]]
 StepAnswer = tuple[Mapping[str, Any], Mapping[str, float], Mapping[str, bool], Mapping[str, bool], Infos]
 _MALFORMED = (TypeError, ValueError, KeyError, AttributeError, IndexError)
 """Exceptions raised when a value that an environment returned does not have PettingZoo's form."""
+_RESET_FORM = "(observations, infos)"
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,10 @@ class ParallelEnvBatch:
         observation_spaces = {agent: first.observation_space(agent) for agent in agents}
         size = observation_size(name, observation_spaces)
         actions = action_space(name, {agent: first.action_space(agent) for agent in agents})
-        _, infos = first.reset(seed=0)
+        try:
+            _, infos = _reset(first, name, seed=0)
+        except (TypeError, ValueError) as error:
+            raise _malformed(name, 0, _RESET_FORM, error) from error
         if agents_come_and_go is None:
             agents_come_and_go = bool(metadata.get("agents_come_and_go", _any_info_has(infos, "alive")))
         self._spec = EnvSpec(
@@ -235,18 +239,13 @@ class ParallelEnvBatch:
     def _begin(self, copy: int, episode: int) -> None:
         env = self._envs[copy]
         self._episodes[copy] = episode
-        try:
-            answer = env.reset(seed=episode_seed(self._seeds[copy], episode))
-        except HeadwayError:
-            raise
-        except Exception as error:  # the environment's own code
-            raise EnvironmentRaisedError(self._spec.name, "reset", error) from error
+        answer = _reset(env, self._spec.name, episode_seed(self._seeds[copy], episode))
         self._ended[copy] = False
         self._observed.observations[copy] = 0
         try:
             self._read_reset(copy, answer)
         except _MALFORMED as error:
-            raise self._malformed("(observations, infos)", error) from error
+            raise _malformed(self._spec.name, self._steps, _RESET_FORM, error) from error
         if self._spec.state_size:
             self._observed.states[copy] = env.state().reshape(-1)
 
@@ -256,13 +255,6 @@ class ParallelEnvBatch:
         self._update_alive(copy)
         self._read_infos(copy, infos, after_reset=True)
         self._require_observations(observations, self._observed.alive[copy])
-
-    def _malformed(self, form: str, error: Exception) -> HeadwayError:
-        return HeadwayError(
-            f"environment '{self._spec.name}' returned a value at step {self._steps} that cannot be read "
-            f"({one_line(error)}); return {form}, each a dictionary by agent, and list the "
-            "live agents in `agents`"
-        )
 
     def _step_copy(self, copy: int, actions: NDArray[Any]) -> None:
         agents, live = self._spec.agents, self._live_agents[copy]
@@ -281,7 +273,7 @@ class ParallelEnvBatch:
             self._read_step(copy, live, answer)
         except _MALFORMED as error:
             form = "(observations, rewards, terminations, truncations, infos)"
-            raise self._malformed(form, error) from error
+            raise _malformed(self._spec.name, self._steps, form, error) from error
         has_ended = self._outcome.episode_ended[copy]
         if self._spec.state_size:
             states = self._outcome.final_states if has_ended else self._observed.states
@@ -494,6 +486,22 @@ class ParallelEnvBatch:
                 f"environment '{self._spec.name}' leaves agent '{self._spec.agents[agent]}' of copy {copy} "
                 f"without an allowed action at step {self._steps}; its action_mask must allow at least one"
             )
+
+
+def _reset(env: ParallelEnv, name: str, seed: int) -> tuple[Mapping[str, Any], Infos]:
+    try:
+        return env.reset(seed=seed)
+    except HeadwayError:
+        raise
+    except Exception as error:  # the environment's own code
+        raise EnvironmentRaisedError(name, "reset", error) from error
+
+
+def _malformed(name: str, step: int, form: str, error: Exception) -> HeadwayError:
+    return HeadwayError(
+        f"environment '{name}' returned a value at step {step} that cannot be read ({one_line(error)}); "
+        f"return {form}, each a dictionary by agent, and list the live agents in `agents`"
+    )
 
 
 def _any_info_has(infos: Infos, key: str) -> bool:

@@ -14,6 +14,7 @@ from headway.adapters.env_file import EnvFile, absolute_id
 from headway.adapters.modules import module_entry
 from headway.config.schema import build, describe
 from headway.contracts import BatchedEnv, HeadwayError
+from headway.contracts.errors import EnvironmentRaisedError
 
 ROUNDS = """
 from mpe2 import simple_spread_v3
@@ -135,6 +136,31 @@ def test_unusable_files_are_one_line_errors(text: str, message: str, tmp_path: P
     with pytest.raises(HeadwayError, match=message) as caught:
         one_copy(written(tmp_path, text))
     assert "\n" not in str(caught.value)
+
+
+def test_an_error_in_the_first_reset_is_named_with_its_line(tmp_path: Path) -> None:
+    """Also one in a function that `reset` calls, and one in a Gymnasium environment."""
+    lines = SHUTTLE.splitlines()
+    [place] = [number for number, line in enumerate(lines) if line.strip().startswith("def reset(")]
+    lines.insert(place + 1, "        load()")
+    lines += ["def load():", "    raise RuntimeError('no data')"]
+    with pytest.raises(EnvironmentRaisedError) as caught:
+        one_copy(written(tmp_path, "\n".join(lines)))
+    told = f"raised RuntimeError: no data in reset (shuttle.py, line {len(lines)})"
+    assert str(caught.value).endswith(told)
+    single = (
+        "import gymnasium\nclass Single(gymnasium.Env):\n    action_space = gymnasium.spaces.Discrete(2)\n"
+    )
+    single += "    observation_space = gymnasium.spaces.Box(0, 1, (1,))\n"
+    single += "    def reset(self, **given):\n        1 / 0"
+    with pytest.raises(EnvironmentRaisedError, match=r"in reset \(shuttle.py, line 6\)"):
+        one_copy(written(tmp_path, f"{single}\nenv = Single"))
+
+
+def test_an_answer_of_the_first_reset_that_cannot_be_read_is_a_one_line_error(tmp_path: Path) -> None:
+    changed = SHUTTLE.replace("def reset(self", "def reset(self, **given): return {}\n    def unused(self")
+    with pytest.raises(HeadwayError, match=r"at step 0 that cannot be read .*\(observations, infos\)"):
+        one_copy(written(tmp_path, changed))
 
 
 def test_a_missing_file_is_a_one_line_error(tmp_path: Path) -> None:
