@@ -61,11 +61,14 @@ def execute(arguments: argparse.Namespace) -> int:
     for name in ("array", *_ALLOCATION, "sbatch"):
         if getattr(arguments, name) not in (None, False):
             raise HeadwayError(f"--{name} needs --slurm")
+    from headway_launch.experiments.notices import print_notices
     from headway_launch.experiments.sweep import compose_sweep
     from headway_launch.studies.plan import distinct
     from headway_launch.studies.session import StudySession
 
-    session = StudySession.plan(distinct(compose_sweep(arguments.overrides)), fresh=arguments.fresh)
+    experiments = distinct(compose_sweep(arguments.overrides))
+    session = StudySession.plan(experiments, fresh=arguments.fresh)
+    print_notices(arguments.overrides, experiments)
     if arguments.dry_run:
         from headway_launch.studies.dry_run import print_estimate
 

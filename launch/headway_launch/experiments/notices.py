@@ -1,0 +1,43 @@
+"""Notices of settings that a user may not have meant, printed before training."""
+
+from collections.abc import Iterator, Sequence
+
+from headway.config.experiment import NO_PRESET, ExperimentConfig
+from headway_launch.console.output import print_line
+from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.experiment_file import split_experiment_file
+
+_INTERVALS = 6
+"""Evaluations after the first that a suggested `evaluation.every` leaves, at least."""
+
+
+def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -> None:
+    """Print each notice about the `experiments` that `overrides` describe once."""
+    file, words = split_experiment_file(overrides)
+    lines = []
+    if not file and not any(word.lstrip("+").startswith(("algo=", "experiment=")) for word in words):
+        preset = experiments[0].config.preset
+        chosen = "" if preset == NO_PRESET else f", with preset={preset}"
+        lines.append(f"no algo is named: algo={experiments[0].algo_name}{chosen} (`headway list algos`)")
+    lines += [line for experiment in experiments for line in _about(experiment.config)]
+    for line in dict.fromkeys(lines):
+        print_line(f"headway: {line}")
+
+
+def _about(config: ExperimentConfig) -> Iterator[str]:
+    evaluation, steps = config.evaluation, config.env_steps
+    if evaluation.every >= steps and config.iterations > 1:
+        every = steps // _INTERVALS
+        every -= every % 10 ** (len(str(every)) - 1)  # one significant digit
+        yield (
+            f"evaluation.every={evaluation.every:_} is not below env_steps={steps:_}: the curve has "
+            f"two points, before and after training; set evaluation.every={max(every, 1):_}"
+        )
+    if (
+        evaluation.final_episodes < evaluation.episodes
+        and evaluation.final_episodes != type(evaluation).final_episodes
+    ):
+        yield (
+            f"evaluation.final_episodes={evaluation.final_episodes} becomes {evaluation.episodes}, since the "
+            "last evaluation includes the episodes of all others; lower evaluation.episodes too for fewer"
+        )
