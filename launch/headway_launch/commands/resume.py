@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.arguments import add_store_argument, existing_store
+from headway_launch.commands.arguments import add_dry_run_argument, add_store_argument, existing_store
 
 if TYPE_CHECKING:
     from headway_launch.runner.jobs import CellPlan
     from headway_launch.runner.stored_run import StoredRun
+    from headway_launch.studies.plan import StudyProgress
 
 EXAMPLES = """\
 examples:
@@ -31,14 +32,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the runs or the study, and the store."""
     parser.add_argument("runs", metavar="RUN", nargs="*", help="names of runs, as in `headway runs`")
     parser.add_argument("--study", help="all unfinished runs of this study")
+    add_dry_run_argument(parser)
     add_store_argument(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Continue training; return the highest exit code of the sessions."""
+    """Continue training, or estimate it; return the highest exit code of the sessions."""
     from headway_launch.console.output import print_line
     from headway_launch.runner.runner import EXIT_STOPPED, run_sessions
     from headway_launch.runner.stored_run import StoredRun
+    from headway_launch.studies.dry_run import print_estimate
+    from headway_launch.studies.plan import StudyProgress
     from headway_launch.studies.session import require_all_ended
 
     for word in arguments.runs:
@@ -58,15 +62,18 @@ def execute(arguments: argparse.Namespace) -> int:
         if run.record.status == "FINISHED":
             raise HeadwayError(f"run {run.record.run_id} has finished: there is nothing to resume")
         run.record.require_free()
-    if not arguments.study:
-        code, left = run_sessions(_cells_of(runs), arguments.debug)
-        if code != EXIT_STOPPED:
-            require_all_ended(runs[0].record.study, left)
-        return code
-    cells, held = _cells_of_study(root, arguments.study, runs)
-    code, left = run_sessions(cells, arguments.debug, plan_kept=True)
+    standings: list[StudyProgress] = []
+    held: list[Path] = []
+    if arguments.study:
+        standings, cells, held = _cells_of_study(root, arguments.study, runs)
+    else:
+        cells = _cells_of(runs)
+    if arguments.dry_run and cells:
+        others = [StudyProgress(cell.experiment) for cell in cells[len(standings) :]]
+        return print_estimate([*standings, *others], cells)
+    code, left = run_sessions(cells, arguments.debug, plan_kept=bool(arguments.study))
     if code != EXIT_STOPPED:
-        require_all_ended(arguments.study, [*held, *left])
+        require_all_ended(arguments.study or runs[0].record.study, [*held, *left])
     if not cells:
         print_line(f"headway: all runs of study {arguments.study} have finished: there is nothing to resume")
     return code
@@ -88,10 +95,11 @@ def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
 
 def _cells_of_study(
     root: Path, study: str, named: Sequence["StoredRun"]
-) -> tuple[list["CellPlan"], list[Path]]:
-    """Return the cells left to train, and the folders of other runs that are being trained.
+) -> tuple[list["StudyProgress"], list["CellPlan"], list[Path]]:
+    """Return the progress of the study's sweeps, the cells left to train, and the folders of other runs that
+    are being trained.
 
-    The cells are those of the study's sweeps, of its unfinished runs outside sweeps, and of the `named` runs.
+    The cells are those of the study's sweeps, then of its other unfinished runs and the `named` runs.
     """
     from headway.store.index import RunIndex
     from headway.store.run_folder import search_database
@@ -128,6 +136,8 @@ def _cells_of_study(
     cells = [*plan_cells(standings), *_cells_of(list(others.values()))]
     labels = cell_labels([cell.experiment for cell in cells])
     labelled = [replace(cell, label=label) for cell, label in zip(cells, labels, strict=True)]
-    return labelled, [
-        Path(row.directory) for row in rows if row.status == "RUNNING" and row.run_id not in covered
-    ]
+    return (
+        standings,
+        labelled,
+        [Path(row.directory) for row in rows if row.status == "RUNNING" and row.run_id not in covered],
+    )

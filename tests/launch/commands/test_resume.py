@@ -1,6 +1,7 @@
 """`headway resume` on stores as sessions leave them."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,9 @@ from headway.store.index import RunIndex, RunRow
 from headway.store.run_folder import RunRecord
 from headway_launch.commands.main import run
 from headway_launch.console.progress_display import Progress
+from headway_launch.runner.jobs import CellPlan
 from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
+from headway_launch.studies.plan import StudyProgress
 
 TINY = ("env=trivial", "algo=ippo", *SMALL, "env.args.agents=2", "env.args.steps=20")
 
@@ -111,6 +114,23 @@ def test_a_finished_run_is_refused_before_anything_starts(tmp_path: Path, refuse
     end_as(_stored(tmp_path / "runs", 0, 0).directory, "FINISHED")
     line = refused("resume", "run-0-s0")
     assert line == "headway: run run-0-s0 has finished: there is nothing to resume\n"
+
+
+@pytest.mark.parametrize("words", [["run-0-s0"], ["--study", "default"]])
+def test_a_dry_run_estimates_what_is_left(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    end_as(_stored(tmp_path / "runs", 0, 0).directory)
+    estimated: list[tuple[int, ...]] = []
+
+    def note(progress: Sequence[StudyProgress], cells: Sequence[CellPlan]) -> int:
+        estimated.extend(job.seeds for cell in cells for job in cell.jobs)
+        assert [each.experiment for each in progress] == [cell.experiment for cell in cells]
+        return 0
+
+    monkeypatch.setattr("headway_launch.studies.dry_run.print_estimate", note)
+    assert run(["resume", "--dry-run", *words]) == 0
+    assert estimated == [(0,)]
 
 
 def test_a_study_also_resumes_failed_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
