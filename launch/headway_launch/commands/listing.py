@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import yaml
 
 from headway.config.experiment import RolloutConfig
-from headway.config.schema import FieldDescription, describe, suggestion
+from headway.config.schema import FieldDescription, describe, nearest, suggestion
 from headway.contracts import RANDOM, RuleEntry
 from headway.contracts.errors import HeadwayError
 from headway.registry import (
@@ -263,7 +263,9 @@ def _list_keys(word: str | None) -> None:
         by_name = [key for key in found if word.lower() in key.key.lower()]
         found = by_name or [key for key in found if word.lower() in key.doc.lower()]
     if not found:
-        raise HeadwayError(f"no key contains {word!r}; {suggestion(word or '', {key.key for key in owners})}")
+        known, asked = {key.key for key in owners}, word or ""
+        hint = suggestion(asked, known) if nearest(asked, known) else "`headway list keys` lists all"
+        raise HeadwayError(f"no key contains {word!r}; {hint}")
     rows = [(key.key, key.type, key.default, ", ".join(owners[key]), key.doc) for key in found]
     print_table(("key", "type", "default", "of", "description"), rows, whole=("key",), spare=("type",))
 

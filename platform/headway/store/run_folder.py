@@ -12,7 +12,7 @@ import secrets
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
-from difflib import get_close_matches
+from difflib import SequenceMatcher, get_close_matches
 from hashlib import sha256
 from json import dumps
 from pathlib import Path
@@ -254,8 +254,11 @@ def find_run(root: Path, run_id: str) -> Path:
         raise HeadwayError(
             f"{run_id!r} is part of the names of {len(matches)} runs: name one, {first_runs(matches)}"
         )
-    nearest = get_close_matches(run_id, folders, n=1, cutoff=0.0)
-    hint = f"the nearest is {nearest[0]}" if nearest else "the store holds no runs"
+    hint = "`headway runs` lists the runs" if folders else "the store holds no runs"
+    for nearest in get_close_matches(run_id, folders, n=1, cutoff=0.0):
+        # Names are long: a short one resembles if most of it is a piece of the name.
+        if 2 * SequenceMatcher(None, run_id, nearest).find_longest_match().size > len(run_id):
+            hint = f"the nearest is {nearest}"
     raise HeadwayError(f"no run {run_id!r} in {root}: {hint}")
 
 

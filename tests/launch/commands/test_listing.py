@@ -48,3 +48,5 @@ def test_a_word_of_no_name_is_looked_for_in_descriptions(rows_of: RowsOf, refuse
     assert refused("list", "keys", "evalutaion.seed").startswith(
         "headway: no key contains 'evalutaion.seed'; did you mean evaluation.seed?"
     )
+    line = refused("list", "keys", "zzzz")
+    assert line == "headway: no key contains 'zzzz'; `headway list keys` lists all\n"

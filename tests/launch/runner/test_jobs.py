@@ -376,7 +376,7 @@ def test_training_starts_from_the_policies_of_one_run_of_a_stack(parents: Path, 
         (["env=visitors"], "have another shape .*same observations, actions"),
         (["algo.policies=independent", "algo.shared_until=0.5"], "start.run takes over separate policies"),
         (["start.rule=optimal"], "start.run excludes start.rule"),
-        (["start.run=s9"], "start.run: no run 's9' in .*: the nearest is "),
+        (["start.run=s9"], "start.run: no run 's9' in .*: `headway runs` lists "),
         (["algo=a3c"], "a3c starts from random parameters only"),
         (
             ["algo=madqn"],
