@@ -110,6 +110,8 @@ def print_comparison(name: str, learned: Sequence[Sequence[Row]], rules: Mapping
             print_line(line)
     if learned and rules and len(learned) < SEEDS_FOR_A_CLAIM:
         print_line(few_seeds(len(learned)))
+    if methods and (episodes := len(learned[0])) < EPISODES_FOR_A_CLAIM:
+        print_line(few_episodes(episodes))
 
 
 def difference(learned: Sequence[Sequence[float]], rule: Sequence[float]) -> "Interval":

@@ -47,6 +47,13 @@ def test_few_seeds_print_a_warning(seeds: int, warning: str, capsys: pytest.Capt
     assert ("train at least 10" in shown) == bool(warning)
 
 
+@pytest.mark.parametrize(("count", "told"), [(19, True), (20, False)])
+def test_few_episodes_print_a_warning(count: int, told: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    returns = [float(number % 3) for number in range(count)]
+    print_comparison("ippo", [episodes(*returns)] * 10, {"hold": episodes(*returns[::-1])})
+    assert ("play at least 20 before claiming" in capsys.readouterr().err) == told
+
+
 def test_episodes_that_do_not_pair_give_no_interval(capsys: pytest.CaptureFixture[str]) -> None:
     print_comparison("ippo", [episodes(3.0, 5.0, 4.0)], {"hold": episodes(1.0, 2.0)})
     shown = printed(capsys)
