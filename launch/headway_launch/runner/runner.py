@@ -226,9 +226,10 @@ class Runner:
         trained = sum(recorder.trained_s for recorder in recorders)
         if trained >= _SHORTEST_MEASURED_S:
             kept, own = sum(recorder.store_s for recorder in recorders), self._own_cpu_s
+            summed = ", summed over jobs" if len(recorders) > 1 else ""
             print_line(
-                f"{STORE_SHARE} {(kept + own) / trained:.1%} of {trained:,.0f} s of training (logs and "
-                f"checkpoints {kept:.1f} s, records and energy {own:.1f} CPU s)"
+                f"{STORE_SHARE} {(kept + own) / trained:.1%} of {trained:,.0f} s of training{summed} (logs "
+                f"and checkpoints {kept:.1f} s, records and energy {own:.1f} CPU s)"
             )
 
 

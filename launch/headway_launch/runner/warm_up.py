@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from headway.contracts.entries import EnvEntry
     from headway_launch.experiments.compose import Experiment
 
-_LINE = "compiling kernels, once (a few minutes)"
-
 
 def compile_kernels(env: "EnvEntry") -> None:
     """Compile an environment's kernels, by calling `warm` in its preloaded modules that define it.
@@ -50,11 +48,10 @@ def kernel_modules() -> list[str]:
 
 
 def _warm(names: Iterable[str]) -> None:
-    for name in (names := list(dict.fromkeys(names))):
-        import_module(name)
-    with _compilation_shown():
-        for name in names:
-            _warm_module(name)
+    modules = [module for name in dict.fromkeys(names) if hasattr(module := import_module(name), "warm")]
+    for place, module in enumerate(modules, start=1):
+        with _compilation_shown(f"{module.__name__} ({place} of {len(modules)})"):
+            module.warm()
 
 
 def _warm_module(name: str) -> None:
@@ -64,8 +61,8 @@ def _warm_module(name: str) -> None:
 
 
 @contextmanager
-def _compilation_shown() -> Iterator[None]:
-    """Print a line when numba begins to compile; loading from its cache is not reported."""
+def _compilation_shown(kernels: str) -> Iterator[None]:
+    """Print a line about `kernels` when numba begins to compile; loading from its cache is not reported."""
     if "numba" not in sys.modules:
         yield
         return
@@ -76,7 +73,7 @@ def _compilation_shown() -> Iterator[None]:
 
         def on_start(self, event: object) -> None:
             if not self.printed:
-                print_line(_LINE)
+                print_line(f"compiling the kernels of {kernels}, once (a few minutes)")
             self.printed = True
 
         def on_end(self, event: object) -> None:

@@ -115,6 +115,8 @@ def test_the_share_of_the_store_is_printed_for_long_trainings(
     job = SimpleNamespace(recorder=SimpleNamespace(trained_s=seconds, store_s=1.0))
     Runner._print_store_share(cast(Runner, SimpleNamespace(_jobs=[job], _own_cpu_s=1.0)))
     assert capsys.readouterr().err.startswith("storage took ") == printed
+    Runner._print_store_share(cast(Runner, SimpleNamespace(_jobs=[job, job], _own_cpu_s=1.0)))
+    assert ("400 s of training, summed over jobs" in capsys.readouterr().err) == printed
 
 
 @pytest.mark.slow

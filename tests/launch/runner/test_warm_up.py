@@ -31,7 +31,8 @@ def test_compiling_is_reported_once_and_only_if_it_happens(
     kernels.warm = lambda: [function(3) for function in functions]  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "kernels_of_a_test", kernels)
     compile_kernels(entry("kernels_of_a_test"))
-    assert capsys.readouterr().err == "compiling kernels, once (a few minutes)\n"
+    told = "compiling the kernels of kernels_of_a_test (1 of 1), once (a few minutes)\n"
+    assert capsys.readouterr().err == told
     compile_kernels(entry("kernels_of_a_test"))
     compile_kernels(entry("json"))
     assert capsys.readouterr().err == ""
