@@ -324,7 +324,8 @@ def _wrong_type(wanted: str, value: object, key: str) -> HeadwayError:
     hint = _number_hint(value, wanted) if isinstance(value, str) else ""
     if wanted == "text" and kind in ("true or false", "a whole number", "a number"):
         hint = f"; write it in quotes (in a shell, in two pairs): \"{key}='{shown(value)}'\""
-    if wanted.startswith("list") and isinstance(value, str) and value.isidentifier():
+    word = isinstance(value, str) and value.isidentifier()
+    if wanted.startswith("list") and (word or kind in ("a whole number", "a number")):
         hint = f"; write {key}=[{value}]"
     article = "a " if wanted.startswith(("number", "whole number", "list", "mapping")) else ""
     return HeadwayError(f"{key}={shown(value)} is {kind}, where {article}{wanted} is expected{hint}")
