@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -80,6 +81,7 @@ COMMANDS = {
     ),
 }
 """Every command by name."""
+_NOT_A_NUMBER = re.compile(r"argument (?P<option>\S+): invalid (?P<kind>int|float) value: '(?P<value>.*)'")
 _ONE_THREAD = ("run", "sweep", "search", "resume", "evaluate", "export", "compare", "render")
 """Commands whose numerical libraries use one thread, because parallel processes fill the machine."""
 _CUTOFF = 0.7
@@ -93,6 +95,9 @@ class _Parser(argparse.ArgumentParser):
         self._words = words
 
     def error(self, message: str) -> NoReturn:
+        if found := _NOT_A_NUMBER.fullmatch(message):
+            kind = "a whole number" if found["kind"] == "int" else "a number"
+            raise HeadwayError(f"{found['option']} {found['value']}: give {kind}")
         unknown = message.removeprefix("unrecognized arguments: ")
         if unknown != message:
             if fix := self._store_option(message):
@@ -260,8 +265,10 @@ def _dispatch(words: Sequence[str], debug: bool, typed: bool) -> int:
     except SystemExit as done:  # --help
         return int(done.code or 0)
     if typed and (overrides := getattr(parsed, "overrides", ())):
+        from headway_launch.experiments.experiment_file import split_experiment_file
         from headway_launch.experiments.override_words import replaced_words
 
+        split_experiment_file(overrides)  # refuses a second experiment
         for first, last in replaced_words(overrides):
             print_line(f"headway: {last} replaces {first}")
     parsed.command, parsed.debug, parsed.typed = name, debug, rest

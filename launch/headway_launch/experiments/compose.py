@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from headway.adapters.env_file import absolute_id
+from headway.adapters.env_file import absolute_id, is_file_id
 from headway.algorithms import chosen_algo
 from headway.config.experiment import NO_PRESET, EnvConfig, ExperimentConfig
 from headway.config.schema import (
@@ -30,11 +30,12 @@ from headway.registry import is_external, rule_entry, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
 from headway.store.run_folder import find_run
 from headway_launch.console.output import print_line, prints_to_stderr
-from headway_launch.experiments.experiment_file import choice_of_file, split_experiment_file
+from headway_launch.experiments.experiment_file import choice_of_file, split_experiment_file, unknown_option
 from headway_launch.experiments.options import (
     NO_ENV,
     config_file,
     configs_folder,
+    option_names,
     options,
     own_folder,
     store_registered,
@@ -155,7 +156,10 @@ class Experiment:
         try:
             return rule_entry(self.env, name)
         except HeadwayError as error:
-            raise HeadwayError(f"evaluation.rules: {error}") from error
+            raise HeadwayError(
+                f"evaluation.rules: {error}; if an experiment sets rules of another environment, "
+                f"evaluation.rules=null selects those of {self.config.env.id}"
+            ) from error
 
     @prints_to_stderr()
     def _prepare_environment(self) -> PreparedEnv:
@@ -238,9 +242,17 @@ def composer(overrides: Sequence[str]) -> Callable[[Mapping[str, Any]], Experime
     words += [_hydra_override(override, overrides) for override in others]
     if own := own_folder():
         words.append(f'hydra.searchpath=["file://{own}"]')
+    return _composer_of(words, file)
+
+
+def _composer_of(words: Sequence[str], file: Path | None = None) -> Callable[[Mapping[str, Any]], Experiment]:
+    """Return what `composer` does, for overrides in Hydra's form; `file`: that of the experiment, for
+    messages."""
     mapping, choices = _compose_mapping(words)
     presets = mapping.pop("preset", None) or {}
     preset = choices.get("preset") or NO_PRESET
+    if not preset.startswith(_DEFAULT) and preset not in option_names("preset"):
+        raise HeadwayError(unknown_option(file, "preset", preset, option_names("preset")))
     values = _preset_values(presets, mapping, by_default=preset.startswith(_DEFAULT))
 
     def composed(further: Mapping[str, Any]) -> Experiment:
@@ -469,6 +481,8 @@ def _names_env(overrides: Sequence[str]) -> bool:
 
 
 def _option_hint(word: str) -> str:
+    if is_file_id(word) and Path(word).is_file():
+        return f"; did you mean env={word if word.startswith(('/', '.')) else f'./{word}'}?"
     for group in ("experiment", "env", "algo", "preset"):
         if word in options().get(group, ()):
             return f"; did you mean {group}={word}?"
@@ -514,7 +528,7 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[
             others = [override for override in overrides if override not in deleted]
             _require_set(deleted, _compose_mapping(others)[0])
         require_grammar(overrides)
-        raise HeadwayError(_one_line(error)) from error
+        raise HeadwayError(_one_line(error, overrides)) from error
     assert isinstance(mapping, dict)
     return {str(key): value for key, value in mapping.items()}, chosen
 
@@ -542,13 +556,20 @@ def _require_set(deleted: Sequence[str], mapping: Mapping[str, Any]) -> None:
             raise HeadwayError(f"{override}: {key} is not set, so its default already applies")
 
 
-def _one_line(error: Exception) -> str:
+def _one_line(error: Exception, overrides: Sequence[str]) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     kept = [line for line in lines if not line.lower().startswith(("see https", "set the environment"))]
     if kept and (several := _SEVERAL_VALUES.match(kept[0])):
         key = several["key"].lstrip("+")
         values = several["value"]
-        return f"{key}={values} lists several values; use `headway sweep`, or {key}=[{values}] for one list"
+        others = [word for word in overrides if word.lstrip("+") != f"{key}={values}"]
+        try:
+            _composer_of([*others, f"++{key}=[{values}]"])({})
+        except HeadwayError:  # the key holds no list
+            or_list = ""
+        else:
+            or_list = f", or {key}=[{values}] for one list"
+        return f"{key}={values} lists several values; use `headway sweep`{or_list}"
     return "the configuration cannot be composed: " + "; ".join(kept[:3])
 
 

@@ -26,8 +26,8 @@ def split_experiment_file(overrides: Sequence[str]) -> tuple[Path | None, list[s
     files = [word for word in overrides if _is_file(word)]
     others = [word for word in overrides if word not in files]
     second = [word for word in others if word.startswith(f"{_GROUP}=")]
-    if len(files) + len(second) > 1 and files:
-        raise HeadwayError(f"{' and '.join([*files, *second])} are two experiments; give one")
+    if len(named := dict.fromkeys([*files, *second])) > 1:
+        raise HeadwayError(f"{' and '.join(named)} are several experiments; give one")
     return (Path(files[0]) if files else None), others
 
 
@@ -68,7 +68,7 @@ def choice_of_file(path: Path) -> str:
             del content[group]
             chosen = value
             if chosen not in known:
-                raise HeadwayError(f"{path}: there is no {group} {chosen!r}; {suggestion(chosen, known)}")
+                raise HeadwayError(unknown_option(path, group, chosen, known))
         elif isinstance(value, str):
             content[group] = {named_by: value}
             continue
@@ -82,6 +82,14 @@ def choice_of_file(path: Path) -> str:
     name = f"file_{hashlib.sha256(repr(node).encode()).hexdigest()[:16]}"
     ConfigStore.instance().store(name, node, _GROUP, package="_global_")
     return f"{_GROUP}={name}"
+
+
+def unknown_option(file: Path | None, group: str, option: str, known: Sequence[str]) -> str:
+    """Return an error line about an option that no file of its group has; `file`: the experiment's."""
+    folder = file.parent.parent if file else Path()
+    there = bool(file) and (folder / group / f"{option}.yaml").is_file()
+    hint = f"--config-dir {folder} would know it" if there else suggestion(option, known)
+    return f"{f'{file}: ' if file else ''}there is no {group} {option!r}; {hint}"
 
 
 def _content(path: Path) -> dict[str, Any]:

@@ -33,6 +33,8 @@ from headway_launch.experiments.compose import compose
         (["list", "metrics", "mpe2.simple_spread_v3"], ["its EnvEntry needs `metrics`", "that do: bus, "]),
         (["list", "metrics", "buss"], ["buss", "bus"]),
         (["list", "observaitons"], ["did you mean headway list observations?"]),
+        (["run", "experiment=a", "experiment=b"], ["experiment=a and experiment=b are several experiments"]),
+        (["evaluate", "s0", "--episodes", "x"], ["headway: --episodes x: give a whole number"]),
         (["run", "--fast"], ["--fast", "headway run --help"]),
         (["run", "--dryrun"], ["--dryrun; did you mean --dry-run? See headway run --help"]),
         (["run", "env=bus", "--seed", "3"], ["unrecognized arguments: --seed 3; write seed=3"]),
@@ -277,6 +279,11 @@ def test_an_environment_without_listed_arguments_says_why(
     file.write_text(f"def parallel_env({parameters}):\n    raise NotImplementedError\n")
     assert run(["list", "envs", str(file)]) == 0
     assert capsys.readouterr().err == f"{file} {says}\n"
+
+
+def test_a_second_experiment_is_refused_without_a_notice(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["run", "experiment=a", "experiment=b"], typed=True) == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_a_word_that_replaces_another_is_named_where_a_user_typed_it(

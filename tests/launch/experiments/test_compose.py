@@ -184,6 +184,10 @@ def test_a_key_of_an_earlier_version_is_named_with_its_replacement() -> None:
         ("bus_mapo", ["write key=value", "did you mean experiment=bus_mappo?"]),
         ("bus", ["write key=value", "did you mean env=bus?"]),
         ("mappo", ["write key=value", "did you mean algo=mappo?"]),
+        ("algo.lr=1e-3,2e-3", ["algo.lr=1e-3,2e-3 lists several values; use `headway sweep`"]),
+        ("algo.model.hidden=8,8", ["use `headway sweep`, or algo.model.hidden=[8,8] for one list"]),
+        ("algo.model.hidden=64", ["where a list of whole numbers is expected; write algo.model.hidden=[64]"]),
+        ("preset=quik", ["preset=quik: there is no such preset"]),
         ("algo.lr=[1,2", ["algo.lr=[1,2 is not valid in Hydra's grammar; close brackets"]),
         ("study='a", ["study='a is not valid in Hydra's grammar"]),
         ("algo.lr=${nowhere}", ["the configuration cannot be composed", "nowhere"]),
@@ -199,6 +203,18 @@ def test_bad_input_of_each_kind_is_one_line(override: str, parts: list[str]) -> 
     message = str(caught.value)
     assert "\n" not in message
     assert all(part in message for part in parts), message
+
+
+def test_several_values_of_a_number_are_not_offered_as_a_list() -> None:
+    with pytest.raises(HeadwayError, match=r"use `headway sweep`$"):
+        compose(["env=trivial", "algo.lr=1e-3,2e-3"])
+
+
+def test_rules_of_another_environment_say_how_to_leave_them() -> None:
+    words = ["experiment=toy_matrix", "env=visitors"]
+    with pytest.raises(HeadwayError, match=r"evaluation\.rules=null selects those of visitors"):
+        compose([*words, "evaluation.rules=[optimum]"]).prepare()
+    compose([*words, "evaluation.rules=null"]).prepare()
 
 
 @pytest.mark.parametrize(

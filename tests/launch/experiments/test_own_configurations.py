@@ -136,9 +136,22 @@ def test_no_file_and_two_experiments_are_one_line(empty_folder: Path, refused: R
     assert "folder.yaml: there is no such file" in refused("sweep", "folder.yaml")
     written("mine.yaml", "env: trivial\nalgo: ippo\n")
     for other in ("experiment=bus_mappo", "folder.yaml"):
-        assert f"mine.yaml and {other} are two experiments" in refused("run", "mine.yaml", other).replace(
+        assert f"mine.yaml and {other} are several experiments" in refused("run", "mine.yaml", other).replace(
             "folder.yaml and mine.yaml", "mine.yaml and folder.yaml"
         )
+
+
+def test_an_environment_as_a_word_is_named_with_its_key(empty_folder: Path, refused: Refused) -> None:
+    written("own/shuttle.py", "")
+    assert "did you mean env=./own/shuttle.py?" in refused("run", "own/shuttle.py")
+
+
+@pytest.mark.parametrize("form", ["preset: quick", "defaults: [override /preset: quick]"])
+def test_a_preset_of_a_folder_that_was_not_given_is_named_with_it(
+    form: str, folder: str, refused: Refused
+) -> None:
+    file = written(f"{folder}/experiment/other.yaml", f"env: tracking\nalgo: ippo\n{form}\n")
+    assert f"no preset 'quick'; --config-dir {folder} would know it" in refused("run", str(file))
 
 
 @pytest.mark.slow
