@@ -27,6 +27,21 @@ def test_a_picture_shows_the_map_and_the_day(tmp_path: Path) -> None:
     assert (tmp_path / "a.png").read_bytes() != (tmp_path / "b.png").read_bytes()
 
 
+def test_the_time_axis_of_a_short_service_has_numbers() -> None:
+    tables = generate("line", 0)
+    trips = tables.trips[(tables.trips["dep_s"] >= 25200) & (tables.trips["arr_s"] <= 30000)]
+    demand = tables.demand[tables.demand["hour"] == 7]
+    figure = plot_scenario(replace(tables, trips=trips, demand=demand), "weekday", "line")
+    figure.draw_without_rendering()
+    for axes in figure.axes[1:]:
+        low, high = axes.get_xlim()
+        shown = [
+            tick.label1.get_text() for tick in axes.xaxis.get_major_ticks() if low <= tick.get_loc() <= high
+        ]
+        assert "07:30" in shown
+        assert len(shown) >= 3
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_map_of_a_straight_line_is_no_strip_and_keeps_its_scale(turned: bool) -> None:
     tables = generate("line", 0)

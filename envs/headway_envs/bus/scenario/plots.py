@@ -8,7 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
-from headway_envs.bus.scenario.description import buses_at_once
+from headway_envs.bus.scenario.description import buses_at_once, clock
 from headway_envs.bus.scenario.measures import METRES_PER_DEGREE, link_loads
 from headway_envs.bus.scenario.tables import Tables
 
@@ -24,6 +24,10 @@ _MAX_LINK_WIDTH = 7.0
 """Width of the link with the largest load, points."""
 _LINE_COLOURS = 10
 """Number of lines up to which each has its own colour. If there are more, lines are coloured by headway."""
+_TICKS_H = (0.25, 0.5, 1.0, 3.0, 6.0)
+"""Distances between the numbers of the time axis, h."""
+_MOST_TICKS = 8
+"""Number of these distances along the axis, at most."""
 _HEADWAYS_MIN = (5.0, 60.0)
 """Ends of the colour scale of headways, minutes."""
 
@@ -53,7 +57,11 @@ def plot_scenario(tables: Tables, day: str, title: str) -> "Figure":
     for place in ("boardings", "headways"):
         places[place].sharex(places["buses"])
     places["buses"].autoscale(axis="x")
-    places["buses"].xaxis.set_major_locator(MultipleLocator(3))
+    begin, end = places["buses"].get_xlim()
+    places["buses"].xaxis.set_major_locator(
+        MultipleLocator(next(step for step in _TICKS_H if end - begin <= _MOST_TICKS * step))
+    )
+    places["buses"].xaxis.set_major_formatter(lambda hours, _: clock(hours))
     figure.suptitle(title)
     return figure
 
@@ -172,4 +180,4 @@ def _plot_headways(axes: "Axes", trips: pd.DataFrame) -> None:
     axes.plot(hours, middle.to_numpy(), color="#D55E00")
     axes.set_ylim(bottom=0)
     axes.set_title("headways of patterns, min: median and quartiles", fontsize="medium")
-    axes.set_xlabel("hour of the day")
+    axes.set_xlabel("time of day")
