@@ -53,8 +53,10 @@ def import_csv(folder: Path) -> Tables:
         "licence": "the operator's",
     }
     if is_there(folder, "calls"):
-        if spare := [name for name in ("trips", "link_times") if is_there(folder, name)]:
-            raise HeadwayError(f"FOLDER: {spare[0]}.csv repeats what calls.csv records; remove one of them")
+        if spare := [f"{name}.csv" for name in ("trips", "link_times") if is_there(folder, name)]:
+            raise HeadwayError(
+                f"FOLDER: calls.csv replaces {' and '.join(spare)}; keep them, or it, in another folder"
+            )
         calls, dates = read_calls(folder, lines, counted)
         times = _smoothed_times(calls, network, counted)
         trips = trips_of_calls(calls, dates, _link_of_calls(network), times, counted)

@@ -348,6 +348,6 @@ def test_records_without_calls_are_refused(tmp_path: Path) -> None:
 
 
 def test_plans_beside_records_are_refused(tmp_path: Path) -> None:
-    _write(tmp_path, "stops", "lines", "calls", "trips")
-    with pytest.raises(HeadwayError, match=r"trips.csv repeats what calls.csv records; remove one"):
+    _write(tmp_path, "stops", "lines", "calls", "trips", "link_times")
+    with pytest.raises(HeadwayError, match=r"calls.csv replaces trips.csv and link_times.csv; keep them"):
         import_csv(tmp_path)
