@@ -88,7 +88,7 @@ def readable(statistics: DayStatistics | LineStatistics, field: str) -> str | in
     """Return a value for people: times of day as 07:30, others with one decimal."""
     value: str | int | float | None = getattr(statistics, field)
     if value is None:
-        return "no departures"  # only headways can be unknown
+        return "fewer than 2 departures"  # only headways can be unknown
     if field == "busiest_hour":
         return f"{clock(float(value))}-{clock(float(value) + 1.0)}"
     if field.endswith("_h"):
@@ -206,11 +206,13 @@ def _agents(tables: Tables, day: str) -> "pd.Series[int]":
 def _headway(trips: pd.DataFrame, begin: int, end: int) -> float | None:
     """Return the mean time between departures from `begin` to `end` h, minutes: the median over patterns.
 
-    None without departures.
+    None if no pattern has two departures.
     """
     inside = trips[trips["dep_s"].between(begin * 3600.0, end * 3600.0, "left")]
-    counts = inside.groupby("pattern").size()
-    return float(np.median((end - begin) * 60.0 / counts)) if len(counts) else None
+    departures = inside.groupby("pattern")["dep_s"].agg(["min", "max", "size"])
+    several = departures[departures["size"] > 1]
+    gaps_min = (several["max"] - several["min"]) / 60.0 / (several["size"] - 1)
+    return float(gaps_min.median()) if len(gaps_min) else None
 
 
 def _plain(value: object) -> str | int | float:

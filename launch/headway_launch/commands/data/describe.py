@@ -20,8 +20,8 @@ examples:
 'Most buses at once' is the largest number of buses on a trip at the same time in the timetable. Agents are
 the slots that the environment creates from it, with a smoothed timetable, recovery times and every bus
 assigned to one line.
-Headways are mean minutes between departures of a pattern in the given hours, the median over patterns. Times
-are of the service day: 25:30 is half past one at night.
+Headways are mean minutes between departures of a pattern in the given hours, the median over the patterns
+with at least two. Times are of the service day: 25:30 is half past one at night.
 """
 
 

@@ -5,6 +5,7 @@ import csv
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,6 +46,8 @@ _COLUMNS = (
     "verdict",
     "measured in",
 )
+_FEW_TRIPS = 20
+"""Number of trips per day below which their statistics vary too much to compare."""
 _LEGEND = (
     "simulated: mean over the simulated days; sd: standard deviation between these days; verdict: whether "
     "simulated - measured lies within -tolerance to +tolerance"
@@ -107,6 +110,9 @@ def execute(arguments: argparse.Namespace) -> int:
     )
     print_line(_LEGEND)
     judged = [row for row in rows if row.judged]
+    trips = int((tables.trips["daytype"] == day).sum())
+    if trips < _FEW_TRIPS:
+        print(f"{counted(trips, 'trip')} per day: too few to compare, whatever the verdicts")
     print(f"{sum(row.holds for row in judged)} of {len(judged)} statistics are within tolerance")
     if left_out := len(rows) - len(judged):
         lines, city = line_count(tables, config), CITY_LINES[config.day_type]
@@ -153,10 +159,10 @@ def _refuse_fixed(key: str, fixed: Sequence[str]) -> None:
 def _cells(row: "Row") -> tuple[str | float | None, ...]:
     return (
         row.statistic,
-        round(row.simulated, 4),
-        None if row.deviation is None else round(row.deviation, 4),
+        None if isnan(row.simulated) else round(row.simulated, 4),
+        None if row.deviation is None or isnan(row.deviation) else round(row.deviation, 4),
         round(row.measured, 4),
-        round(row.off, 4),
+        None if isnan(row.off) else round(row.off, 4),
         round(row.tolerance, 4),
         ("within tolerance" if row.holds else "outside tolerance") if row.judged else "not judged",
         row.source,

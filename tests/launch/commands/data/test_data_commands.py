@@ -135,6 +135,24 @@ def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
     assert prepare(BusConfig(scenario=str(out), start_hour=7, end_hour=9)).notices == ()
 
 
+def test_the_realism_of_a_few_recorded_calls_has_blanks_and_a_caution(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = tmp_path / "recorded", tmp_path / "mine"
+    folder.mkdir()
+    page = GUIDE.read_text(encoding="utf-8")
+    [calls] = re.findall(r"```text\n(date,.*?)```", page, re.DOTALL)
+    for name, text in {**_files_of_the_guide(), "calls": calls}.items():
+        if name in ("stops", "lines", "calls"):
+            (folder / f"{name}.csv").write_text(text, encoding="utf-8")
+    assert run(["data", "csv", str(folder), str(out)]) == 0
+    capsys.readouterr()
+    assert run(["data", "realism", str(out), "--records", str(folder), "--days", "2"]) == 0
+    shown = capsys.readouterr().out
+    assert "\nnan" not in shown.replace("\t", "\n")
+    assert "1 trip per day: too few to compare" in shown
+
+
 def test_a_scenario_of_sundays_alone_is_run_on_sundays(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -152,7 +170,8 @@ def test_a_scenario_of_sundays_alone_is_run_on_sundays(
     shown = capsys.readouterr().out.splitlines()
     assert "quantity per day\tsunday" in shown
     assert "last arrival\t08:06" in shown
-    assert "headway 17:00-19:00, min\tno departures" in shown
+    assert "headway 17:00-19:00, min\tfewer than 2 departures" in shown
+    assert "headway 06:00-08:00, min\t15" in shown  # the service begins and ends within these hours
 
 
 def _files_of_the_guide() -> dict[str, str]:
