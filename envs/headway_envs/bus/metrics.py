@@ -25,7 +25,10 @@ METRIC_DESCRIPTIONS = {
     "reward_maintenance": "maintenance component m, mean over control intervals, unweighted: 0 or less, for "
     "breakdowns, low fuel and low uptime",
     "reward_regularity": "regularity component c, mean over control intervals, unweighted",
-    "team_reward": "sum of the team's reward over the day",
+    "team_reward": "sum of the team's reward over the day, equal to the return with "
+    "env.args.reward.scope=team: number of control intervals (length) * (0.4 reward_service + 0.1 "
+    "reward_efficiency + 0.1 reward_maintenance + 0.4 reward_regularity), with the weights of "
+    "env.args.reward",
 }
 METRICS = tuple(METRIC_DESCRIPTIONS)
 """Names, in the order in which the kernel fills them."""
