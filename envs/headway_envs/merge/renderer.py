@@ -28,6 +28,8 @@ SCALE = 5.0
 FINER = 2
 """Factor by which pictures are drawn larger and then reduced, for smooth edges."""
 ABOVE_M, MARGIN_M, HEADER = 10.0, 4.0, 34
+NAME_M = 2.0
+"""Distance of a road's name from its edge, m: vehicles do not cover it."""
 TICK_M = 50.0
 """Distance between the marks of the scale above each row, m."""
 NAMED_AT_M = (25.0, ROW_M + 190.0)
@@ -124,17 +126,18 @@ class MergeRenderer:
             )
 
     def _draw_names(self, draw: ImageDraw.ImageDraw) -> None:
-        """Write what the roads are onto them, each name with an arrow in driving direction."""
-        ramps = [lane for lane in self._lanes if lane["closed"] and lane["x"] == 0.0]
-        names = [("main road", at, 0.0) for at in NAMED_AT_M]
-        names += [("ramp", NAMED_AT_M[0], lane["y"]) for lane in ramps]
+        """Write what the roads are beside them, each name with an arrow in driving direction."""
+        ramp = max(lane["y"] for lane in self._lanes if lane["closed"] and lane["x"] == 0.0)
+        beside = LANE_WIDTH / 2.0 + NAME_M
+        names = [("main road", at, float(self._lanes["y"].min()) - beside) for at in NAMED_AT_M]
+        names.append(("ramp", NAMED_AT_M[0], ramp + beside))
         for name, at, across in names:
             x, y = self._at(at, across)
-            draw.text((x, y), name, MARKING, self._font, anchor="lm")
+            draw.text((x, y), name, TEXT, self._font, anchor="lm")
             x += draw.textlength(name, self._font) + 6 * FINER
             tip = x + 18 * FINER
-            draw.line([(x, y), (tip, y)], MARKING, FINER)
-            draw.polygon([(tip, y), *((tip - 6 * FINER, y + side * 3 * FINER) for side in (-1, 1))], MARKING)
+            draw.line([(x, y), (tip, y)], TEXT, FINER)
+            draw.polygon([(tip, y), *((tip - 6 * FINER, y + side * 3 * FINER) for side in (-1, 1))], TEXT)
         x, y = self._obstacles[-1]
         draw.text(self._at(x + OBSTACLE_SIZE, y), "end of the ramp", TEXT, self._font, anchor="lm")
 

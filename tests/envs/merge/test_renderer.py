@@ -10,7 +10,7 @@ from played import repeated
 from headway_envs.merge.entry import ENTRIES
 from headway_envs.merge.env import MergeBatchedEnv
 from headway_envs.merge.kernel.layout import IDLE
-from headway_envs.merge.renderer import CAV, CRASHED, HUMAN, MergeRenderer
+from headway_envs.merge.renderer import CAV, CRASHED, HUMAN, ROAD, MergeRenderer
 
 Make = Callable[..., MergeBatchedEnv]
 CAR_PIXELS = 25 * 10
@@ -39,6 +39,15 @@ def test_every_vehicle_is_drawn_and_crashes_stand_out(make: Make, name: str) -> 
     assert last.shape == first.shape
     assert count(last, CRASHED) > 0.6 * CAR_PIXELS
     assert count(renderer.render(env, at_end=False), CRASHED) == 0
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_the_lanes_carry_no_names(make: Make, name: str) -> None:
+    renderer = MergeRenderer(make(name).prepared)
+    pixels = np.asarray(renderer._background)
+    for lane in renderer._lanes[renderer._lanes["x"] == 0.0]:
+        x, y = (int(pixel) for pixel in renderer._at(40.0, float(lane["y"])))
+        assert (pixels[y - 10 : y + 10, : x + 200] == ImageColor.getrgb(ROAD)).all()
 
 
 def test_the_end_can_be_drawn_after_a_reset(make: Make) -> None:
