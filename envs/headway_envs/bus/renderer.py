@@ -142,25 +142,31 @@ class BusRenderer:
         self._heights = self._diagram_heights()
         self._background = self._draw_background()
         self._canvas, self._last_time = self._background.copy(), -math.inf
+        self._last_map: tuple[Image.Image, float] | None = None
+        """Map and time, s, of the day's last picture with buses."""
         self._last_points: dict[int, tuple[int, int, Point]] = {}
         """Pattern, call and place in its panel of each bus in the previous picture, by slot."""
 
     def render(self, env: BatchedEnv, at_end: bool) -> NDArray[np.uint8]:
         """Return a picture (height, width, 3), uint8, of the first copy.
 
-        `at_end`: show the finished diagram with the metrics of the day. Raises TypeError for any other
-        environment.
+        `at_end`: show the finished diagram with the metrics of the day, and the last map with buses. Raises
+        TypeError for any other environment.
         """
         if not isinstance(env, BusBatchedEnv):
             raise TypeError(f"the picture of a bus network needs a BusBatchedEnv, not {type(env).__name__}")
         day = env.world.days[0]
         if at_end:
-            picture, caption = self._canvas.copy(), _summary(env.outputs.metrics[0])
-            self._write(picture, "End of the day", caption)
+            picture, title = self._canvas.copy(), "End of the day"
+            if self._last_map is not None:
+                shown, at = self._last_map
+                picture.paste(shown, (FINER * self._map[0], FINER * self._map[1]))
+                title += f"; the map shows {_clock(at)}, the last time with buses"
+            self._write(picture, title, _summary(env.outputs.metrics[0]))
             return _downsampled(picture)
         now = float(day["now"])
         if now <= self._last_time:
-            self._canvas, self._last_points = self._background.copy(), {}
+            self._canvas, self._last_points, self._last_map = self._background.copy(), {}, None
         self._last_time = now
         buses = _visible_buses(env)
         self._extend_diagram(buses, now)
@@ -168,6 +174,9 @@ class BusRenderer:
         draw = ImageDraw.Draw(picture)
         waiting = self._draw_queues(draw, env)
         self._draw_buses(draw, buses)
+        if len(buses.slots):
+            left, top, right, bottom = (FINER * edge for edge in self._map)
+            self._last_map = picture.crop((left, top, right, bottom)), now
         off = int(buses.out_of_service.sum())
         caption = f"{len(buses.slots) - off} buses on their lines, {off} at a service centre or broken down"
         caption += f"    {int(buses.loads.sum())} passengers on board, {waiting} waiting"
@@ -292,10 +301,13 @@ class BusRenderer:
             draw.line([(x, y), (FINER * right, y)], GRID)
             label = f"{kilometres * quarter / 4.0:.1f} km"
             draw.text((x - 4 * FINER, y), label, FAINT, self._small, anchor="rm")
+        along_map = self._places.right[self._longest[panel]]
+        side = "right" if along_map[-1] > along_map[0] else "left"
         name = f"{self._prepared.lines[self._line]}, direction {self._directions[panel]}"
         draw.text(
             (FINER * left, FINER * (top - 5)),
-            f"{name}: distance from its first stop over the day; each stroke is a bus, coloured by load",
+            f"{name} (to the {side} on the map): distance from its first stop over the day; each stroke is a "
+            "bus, coloured by load",
             TEXT,
             self._font,
             anchor="ls",

@@ -32,8 +32,8 @@ examples:
   headway render merge --rule always_left env.args.density=3 --episode 4 --output crash.gif
   headway render merge --rule idle --step 60 --output moment.png
   headway render bus --rule even_headway --output day.png      map and time-space diagram of the day
-  headway render bus --rule even_headway --fps 25              animated over the hours of the day
-  headway render bus --rule even_headway --fps 25 --output day.mp4    smaller (extra: video)
+  headway render bus --rule even_headway                       animated over the hours of the day
+  headway render bus --rule even_headway --output day.mp4      smaller (extra: video)
   headway render ./shuttle.py --rule random                    any environment with the render mode rgb_array
   headway render s0-20260101-1200 --keep                       written into the run's folder
 
@@ -42,6 +42,8 @@ the rule or run, the seed and the number of the episode. PettingZoo and Gymnasiu
 by their own `render` with the mode rgb_array, without the last step.
 """
 _SUFFIXES = (".gif", ".mp4", ".png")
+_LONG_STEPS = 300
+"""Steps of an episode above which a video is faster by default: a minute of video, at 5 steps per second."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, help="root of the episode seeds (default: evaluation.seed)")
     parser.add_argument("--step", type=int, help="step that a .png shows (default: the last)")
     parser.add_argument("--output", help="file to write (default: NAME.gif)")
-    parser.add_argument("--fps", type=float, default=5.0, help="steps per second of a video (default: 5)")
+    parser.add_argument(
+        "--fps",
+        type=float,
+        help=f"steps per second of a video (default: 5; 25 in episodes of more than {_LONG_STEPS} steps)",
+    )
     parser.add_argument(
         "--keep",
         action="store_true",
@@ -106,7 +112,8 @@ def execute(arguments: argparse.Namespace) -> int:
             packed = [PackedFrame.of(frame) for frame in frames]
             _make_folder(arguments, output)
             write = write_mp4 if output.suffix == ".mp4" else write_film
-            write(packed, output, arguments.fps, caption)
+            fps = 25.0 if len(packed) > _LONG_STEPS + 1 else 5.0
+            write(packed, output, fps if arguments.fps is None else arguments.fps, caption)
     print(output)
     return 0
 
@@ -118,7 +125,7 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
         raise HeadwayError("--step needs a single picture: give --output NAME.png")
     if arguments.episode < 0 or (arguments.seed or 0) < 0 or (arguments.step or 0) < 0:
         raise HeadwayError("--episode, --seed and --step must be at least 0")
-    if not 0.1 <= arguments.fps <= 50.0:
+    if arguments.fps is not None and not 0.1 <= arguments.fps <= 50.0:
         raise HeadwayError(f"--fps must lie between 0.1 and 50, not {arguments.fps:g}")
     if arguments.keep and arguments.rule is not None:
         raise HeadwayError("--keep works for runs only; omit --keep or --rule")

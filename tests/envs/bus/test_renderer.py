@@ -148,3 +148,5 @@ def test_the_end_keeps_the_diagram_and_the_next_day_begins_a_new_one() -> None:
     below = slice(renderer._panels[0][1], renderer._panels[-1][3])
     np.testing.assert_array_equal(last[below], before[below])
     assert (again[below] != last[below]).any()
+    above = slice(renderer._map[1], renderer._map[3])
+    np.testing.assert_array_equal(last[above], before[above])

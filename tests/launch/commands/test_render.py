@@ -13,7 +13,9 @@ from PIL import Image
 from small_runs import SMALL
 
 from headway_envs.merge.renderer import MergeRenderer
+from headway_launch.commands import render
 from headway_launch.commands.main import run
+from headway_launch.console import video
 from headway_launch.console.video import caption_strip
 
 IDLE = ("merge", "--rule", "idle", "env.args.steps=4")
@@ -40,6 +42,17 @@ def test_a_rule_is_drawn_to_the_end_of_the_episode(tmp_path: Path) -> None:
         picture.seek(3)
         apart = np.abs(np.asarray(picture.convert("RGB"), int) - np.asarray(moment, int))
     assert np.quantile(apart, 0.9999) < 40  # the palette has the few yellow pixels of the obstacle, too
+
+
+@pytest.mark.parametrize(("steps", "fps"), [(6, 5.0), (301, 25.0)])
+def test_a_long_episode_is_shown_faster(
+    steps: int, fps: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame, rates = np.zeros((2, 2, 3), np.uint8), list[float]()
+    monkeypatch.setattr(render, "_frames", lambda *_: (frame for _ in range(steps + 1)))
+    monkeypatch.setattr(video, "write_film", lambda frames, output, rate, caption: rates.append(rate))
+    assert run(["render", *IDLE, "--output", str(tmp_path / "idle.gif")]) == 0
+    assert rates == [fps]
 
 
 def test_an_mp4_has_the_frames_and_the_rate_of_the_episode(tmp_path: Path) -> None:
