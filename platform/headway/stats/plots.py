@@ -55,6 +55,9 @@ _NAME_LENGTH = 44
 _DOTS_PER_INCH = 150
 _SHADE, _SHADES = 0.18, 1.1
 """Opacity of one interval's band, and the sum over all bands of a panel."""
+_MOST_OVERLAP = 3.0
+"""Mean widths of a panel's intervals, summed, over the range of its curves: up to this they are shaded bands;
+more would overlap to one grey surface, and are outlined."""
 
 
 def colours(controllers: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -104,7 +107,8 @@ def learning_curves(
 ) -> "Figure":
     """Plot the frame of `mean_curves` (column `mean`) or `efficiency` (column `iqm`), one panel per task.
 
-    Each controller is a line with its interval, of at least three seeds, as a band. `rules` (task -> rule ->
+    Each controller is a line with its interval, of at least three seeds, as a band, or between two thin
+    lines where bands would overlap much. `rules` (task -> rule ->
     value) are horizontal lines. Lines are labelled at their right ends; a rule too far away is only listed
     there. The vertical axis is not stretched for a controller far worse than most others (`outliers`; higher
     is better if `sign` is 1, lower if -1), whose label has its worst value, nor for intervals much wider than
@@ -120,13 +124,20 @@ def learning_curves(
         of_task = means[means["task"] == task] if task else means
         by_name = {str(name): curve for name, curve in of_task.groupby("controller", sort=False)}
         excluded = outliers({name: curve[column].to_numpy() for name, curve in by_name.items()}, sign)
-        shade = min(_SHADE, _SHADES / len(by_name))
+        shown = of_task[~of_task["controller"].isin(list(excluded))]
+        widths = (shown["high"] - shown["low"]).groupby(shown["controller"]).mean()
+        shaded = bool(widths.sum() <= _MOST_OVERLAP * np.ptp(shown[column].dropna()))
         for name, curve in by_name.items():
             if name not in excluded:
-                _plot_curve(axes, name, curve, column, styles[name], shade)
-        middles = [curve[column].to_numpy() for name, curve in by_name.items() if name not in excluded]
-        _bound_bands(axes, np.concatenate(middles))
-        plot_rules(axes, rules.get(task, {}), styles=styles)
+                _plot_curve(axes, name, curve, column, styles[name], shaded)
+        band_low, band_high = axes.get_ylim()
+        _bound_bands(axes, shown[column].to_numpy())
+        plot_rules(axes, rules.get(task, {}), styles=styles, sign=sign)
+        bottom, top = axes.get_ylim()
+        if band_low < bottom or band_high > top:
+            axes.set_title(
+                "some intervals continue beyond the axis", loc="right", fontsize="small", color="0.35"
+            )
         for steps in (stage_ends or {}).get(task, ()):
             axes.axvline(steps, color="0.7", linewidth=0.8, zorder=0)
         _shade_rule_phases(axes, (rule_phases or {}).get(task, {}), len(by_name), sign)
@@ -134,7 +145,7 @@ def learning_curves(
             window = axes.get_ylim()
             for name, value in excluded.items():
                 remark = f" (off scale: {_four_digits(value)})"
-                _plot_curve(axes, name, by_name[name], column, styles[name], shade, remark)
+                _plot_curve(axes, name, by_name[name], column, styles[name], shaded, remark)
             axes.set_ylim(window)
         if low is not None:
             if low >= (top := axes.get_ylim()[1]):
@@ -202,10 +213,10 @@ def _plot_curve(
     curve: "pd.DataFrame",
     column: str,
     style: Mapping[str, Any],
-    shade: float,
+    shaded: bool,
     remark: str = "",
 ) -> None:
-    """Plot a controller's line and the band of its interval, if it has enough seeds."""
+    """Plot a controller's line and its interval, if it has enough seeds: as a band or by its outlines."""
     seeds = int(curve["runs"].iloc[0]) if "runs" in curve else FEWEST_SEEDS
     runs = f" ({counted(seeds, 'seed')})" if "runs" in curve else ""
     steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
@@ -214,7 +225,10 @@ def _plot_curve(
     )
     if seeds >= FEWEST_SEEDS:
         ends = (curve["low"].to_numpy(), curve["high"].to_numpy())
-        axes.fill_between(steps, *ends, color=style["color"], alpha=shade, linewidth=0)
+        if shaded:
+            axes.fill_between(steps, *ends, color=style["color"], alpha=_SHADE, linewidth=0)
+        for end in () if shaded else ends:
+            axes.plot(steps, end, linewidth=0.6, alpha=0.6, **style)
 
 
 def _bound_bands(axes: "Axes", middles: "NDArray[np.floating[Any]]") -> None:
@@ -238,16 +252,18 @@ def plot_rules(
     rules: Mapping[str, float],
     upright: bool = False,
     styles: Mapping[str, Mapping[str, Any]] | None = None,
+    sign: int = 1,
 ) -> None:
     """Plot each rule as a grey horizontal line, or a vertical one if `upright`.
 
     Order and style are those of `rule_styles` in `styles`, or else the highest rule comes first.
 
-    Distant rules are only listed in the legend. A vertical axis with fixed limits is extended to the
+    Distant rules are only listed in the legend, except for the best one: the highest if `sign` is 1, the
+    lowest if -1. A vertical axis with fixed limits is extended to the
     plotted rules.
     """
     low, high = axes.get_xlim() if upright else axes.get_ylim()
-    near = near_rules(rules, low, high)
+    near = near_rules(rules, low, high, sign)
     plot_line = axes.axvline if upright else axes.axhline
     names = {f"rule {rule}": rule for rule in rules}
     own: Mapping[str, Mapping[str, Any]]
@@ -266,19 +282,23 @@ def plot_rules(
         axes.set_ylim(min(low, min(shown) - edge), max(high, max(shown) + edge))
 
 
-def near_rules(rules: Mapping[str, float], low: float, high: float) -> set[str]:
+def near_rules(rules: Mapping[str, float], low: float, high: float, sign: int = 1) -> set[str]:
     """Return the rules that may extend an axis from `low` to `high`.
 
-    The nearest rule always may. Others are added in order of distance until the next one is farther away than
-    five times the range so far. A rule that fails, such as random bus control, would flatten all curves.
+    The best rule, the highest if `sign` is 1 or the lowest if -1, always may. Others are added in order of
+    distance until the next one is farther away than five times the range so far. A rule that fails, such as
+    random bus control, would flatten all curves.
     """
 
     def distance(rule: str) -> float:
         return max(low - rules[rule], rules[rule] - high, 0.0)
 
-    near: set[str] = set()
+    if not rules:
+        return set()
+    best = max(rules, key=lambda rule: sign * rules[rule])
+    near, low, high = {best}, min(low, rules[best]), max(high, rules[best])
     for rule in sorted(rules, key=distance):
-        if near and distance(rule) > _OUTLIER_FACTOR * (high - low):
+        if distance(rule) > _OUTLIER_FACTOR * (high - low):
             break
         near.add(rule)
         low, high = min(low, rules[rule]), max(high, rules[rule])
@@ -342,7 +362,7 @@ def intervals(
             place, row["iqm_high"] - row["iqm_low"], left=row["iqm_low"], height=0.5, color=colour, alpha=0.45
         )
         axes.plot([row["iqm"]] * 2, [place - 0.25, place + 0.25], color=colour, linewidth=2.5)
-    plot_rules(axes, rules, upright=True, styles=styles)
+    plot_rules(axes, rules, upright=True, styles=styles, sign=sign)
     axes.use_sticky_edges = False  # otherwise the margins would not apply to the bars
     axes.margins(x=0.05)
     _label_rows(axes, beside)

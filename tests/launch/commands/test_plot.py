@@ -102,6 +102,9 @@ def test_a_rule_far_away_does_not_flatten_the_picture() -> None:
     # A flat curve hides no rule: what is near is judged with the nearest rule in the picture.
     assert near_rules({"random": -0.5, "optimal": 11.0}, 3.9, 4.1) == {"random", "optimal"}
     assert near_rules({"random": -0.5}, 4.0, 4.0) == {"random"}
+    # The best rule is never off scale.
+    assert near_rules({"poor": 0.0, "best": 90.0}, 1.0, 2.0) == {"poor", "best"}
+    assert near_rules({"best": 0.0, "poor": 90.0}, 1.0, 2.0, sign=-1) == {"best"}
     axes = Figure().add_subplot()
     axes.plot([0, 1], [90.0, 250.0])
     plot_rules(axes, rules)

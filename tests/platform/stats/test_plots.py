@@ -125,6 +125,19 @@ def test_no_two_rules_have_the_same_pattern_and_each_has_its_own_in_all_pictures
     assert all(shown[0][name] == pattern for name, pattern in shown[1].items())
 
 
+def test_intervals_that_overlap_much_are_outlined_and_cut_ones_are_marked() -> None:
+    points = [(name, steps, steps / 100) for name in "ab" for steps in (0, 50, 100)]
+    means = pd.DataFrame(points, columns=["controller", "env_steps", "mean"]).assign(runs=3)
+    panels = []
+    for half in (0.1, 0.6, 9.0):
+        own = means.assign(low=means["mean"] - half, high=means["mean"] + half)
+        panels += learning_curves(own, {}, "return", colours(["a", "b"])).axes
+    assert [len(panel.collections) for panel in panels] == [2, 2, 0]
+    assert [len(panel.lines) for panel in panels] == [2, 2, 6]
+    marks = [panel.get_title("right") for panel in panels]
+    assert marks == ["", *["some intervals continue beyond the axis"] * 2]
+
+
 def test_two_seeds_have_no_band() -> None:
     assert [len(_curve(seeds).axes[0].collections) for seeds in (2, 3)] == [0, 1]
 
