@@ -1,6 +1,7 @@
 """Description, for reports, of what a cell's runs started from and of their stages."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
@@ -16,16 +17,32 @@ from headway.wording import counted
 from headway_launch.experiments.parameters import flat
 
 
-def start_line(name: str, root: Path, directories: Sequence[Path], metric: str) -> str | None:
+@dataclass(frozen=True)
+class RuleStart:
+    """The rule from which a cell's runs started."""
+
+    rule: str
+    env_steps: int
+    """Steps of each run in which it acted."""
+    imitated: float | None
+    """Mean of a metric over the policies that imitated it, at the end of these steps; None if unknown."""
+    played: float | None
+    """The rule's mean on the same episodes; None if it was not run."""
+
+
+def start_line(
+    name: str, root: Path, directories: Sequence[Path], metric: str, with_rule: bool = True
+) -> str | None:
     """Return a sentence on what a cell's runs started from and on their stages; None without either.
 
     `name` is the cell's name, `root` the store and `directories` the runs' folders. If policies imitated a
-    rule, the sentence gives their `metric`, such as `evaluation_greedy/return`, and the rule's.
+    rule, the sentence gives their `metric`, such as `evaluation_greedy/return`, and the rule's; it omits the
+    rule unless `with_rule`.
     """
     config = read_configuration(directories[0])
     start, parts = config.get("start") or {}, []
-    if start.get("rule"):
-        parts.append(_from_rule(config, root, directories, metric))
+    if with_rule and (found := rule_start(root, directories, metric)):
+        parts.append(_from_rule(found, int(config["evaluation"]["episodes"]), metric))
     elif start.get("run"):
         parts.append(_from_run(root, start["run"]))
     anchors = [f"start.{key}={start[key]}" for key in ("kl_coeff", "critic_iterations") if start.get(key)]
@@ -44,32 +61,43 @@ def _stage(stage: Mapping[str, Any], steps: int) -> str:
     return f"{steps:,} steps{' with ' if settings else ''}{' and '.join(settings)}"
 
 
-def _from_rule(config: Mapping[str, Any], root: Path, directories: Sequence[Path], metric: str) -> str:
-    rule, rollout = config["start"]["rule"], config["rollout"]
+def rule_start(root: Path, directories: Sequence[Path], metric: str) -> RuleStart | None:
+    """Return the rule from which a cell's runs started, if any; arguments as those of `start_line`."""
+    config = read_configuration(directories[0])
+    rule, rollout = (config.get("start") or {}).get("rule"), config["rollout"]
+    if not rule:
+        return None
     iteration_steps = rollout["copies"] * rollout["steps"]
     iterations = -(-config["start"]["env_steps"] // iteration_steps)
-    steps = f"{iterations * iteration_steps:,} steps"
-    line = f"started from rule {rule}, which acted in the first {steps} of each run"
     imitated = [
         float(row[metric])
         for directory in directories
         for row in read_rows(directory, "curve")
         if row["iteration"] == iterations and row.get(metric) is not None
     ]
-    if not imitated:
-        return line
-    episodes = int(config["evaluation"]["episodes"])
-    group, _, column = metric.partition("/")
-    mode = group.removeprefix("evaluation_")
-    line = (
-        f"{line}; the policies that imitated it then had a mean {mode} {column} of {fmean(imitated):.4g} on "
-        f"the curve's {counted(episodes, 'episode')}"
-    )
+    column = metric.partition("/")[2]
     record = RunRecord.read(directories[0])
     path = rules_file(root, record.study, record.cell)
-    played = read_json(path).get(rule, [])[:episodes] if path.exists() else []
+    played = read_json(path).get(rule, [])[: int(config["evaluation"]["episodes"])] if path.exists() else []
     values = [float(episode[column]) for episode in played if column in episode]
-    return f"{line}, and the rule {fmean(values):.4g}" if values else line
+    return RuleStart(
+        rule,
+        iterations * iteration_steps,
+        fmean(imitated) if imitated else None,
+        fmean(values) if values else None,
+    )
+
+
+def _from_rule(found: RuleStart, episodes: int, metric: str) -> str:
+    line = f"started from rule {found.rule}, which acted in the first {found.env_steps:,} steps of each run"
+    if found.imitated is None:
+        return line
+    measured = metric.removeprefix("evaluation_").replace("/", " ")
+    line = (
+        f"{line}; the policies that imitated it then had a mean {measured} of {found.imitated:.4g} on the "
+        f"curve's {counted(episodes, 'episode')}"
+    )
+    return line if found.played is None else f"{line}, and the rule {found.played:.4g}"
 
 
 def _from_run(root: Path, parent: str) -> str:

@@ -23,13 +23,13 @@ _RULE_PHASES = "; shaded: the rule of `start.rule` acts"
 def curves_section(data: StudyData) -> Section:
     """Return the section with learning curves and sample efficiency."""
     means = frames.mean_curves(data.curves)
-    label, phases = f"{data.mode}: {data.metric_with_unit}", rule_phases(data.runs)
+    label, phases = f"{data.mode}: {data.readable(data.column)}", rule_phases(data.runs)
     body: list[Part] = [
         Picture(
             "learning_curves",
             f"Learning curves: mean of the {data.mode} evaluation over seeds with the 95% interval of that "
-            f"mean by Student's t, from {plots.FEWEST_SEEDS} seeds on; dashed lines: the rules on the same "
-            f"episodes{_STAGES if any(data.stage_ends.values()) else ''}"
+            f"mean by Student's t, from {plots.FEWEST_SEEDS} seeds on (thin lines where many overlap); "
+            f"dashed lines: the rules on the same episodes{_STAGES if any(data.stage_ends.values()) else ''}"
             f"{_RULE_PHASES if phases else ''}.",
             plots.learning_curves(
                 means,
@@ -49,7 +49,7 @@ def curves_section(data: StudyData) -> Section:
         label = "normalised score"
         scale = "normalised: the random rule scores 0, the best rule 1"
     elif len(data.tasks) == 1:
-        curves, sign, scale = data.curves, data.sign, f"{data.metric_label}, not normalised"
+        curves, sign, scale = data.curves, data.sign, f"{data.readable(data.column)}, not normalised"
     else:
         body.append(f"Sample efficiency over all environments is omitted: {_missing_scale(data)}.")
         return Section("curves", "Learning curves", body)

@@ -1,5 +1,6 @@
 """Sections on final rewards: means and AUC, interquartile means, differences from rules, and comparisons."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import pandas as pd
 from headway.stats import frames, plots
 from headway.stats.curves import FEWEST_POINTS
 from headway.wording import counted
-from headway_launch.experiments.start_line import start_line
+from headway_launch.experiments.start_line import rule_start, start_line
 from headway_launch.report.elements import (
     MISSING,
     Part,
@@ -21,6 +22,9 @@ from headway_launch.report.elements import (
 )
 from headway_launch.report.study_data import DifferenceFromBest, StudyData, mean_of_known
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
+
+SEEDS_FOR_A_PROFILE = 5
+"""Number of seeds per controller below which intervals fill nearly all of a performance profile."""
 
 
 def final_reward_section(data: StudyData) -> Section:
@@ -142,11 +146,11 @@ def interquartile_section(data: StudyData) -> Section:
     """Return the section with interquartile means, their intervals, and differences from the best rule."""
     body: list[Part] = [
         "The interquartile mean discards the best and the worst quarter of the seeds, so that a single "
-        "lucky or failed seed does not decide the result. A learner is called better or worse than the best "
+        "lucky or failed seed does not decide the result; it discards none of fewer than 4 seeds and is "
+        "their mean. A learner is called better or worse than the best "
         f"rule only if the interval excludes 0 with at least {SEEDS_FOR_A_CLAIM} training seeds; with fewer "
         "seeds no claim is made. Rules need no seeds: their interval is over episodes.",
         _interquartile_table(data),
-        *_unequal_budgets(data),
         *([data.few_seeds_note] if data.few_seeds_note else []),
     ]
     against = {(task, name): data.against_best_rule(task, name) for task, name in data.cells}
@@ -230,8 +234,11 @@ def improvement_section(data: StudyData) -> Section:
         body.append("The study has only one learner, so there is no other to compare it with.")
     for place, task in enumerate(data.tasks):
         where = data.where(task)
-        if all(len(members) == 1 for members in data.on(task).values()):
-            body.append(f"There is no performance profile{where}: it needs several seeds per controller.")
+        if all(len(members) < SEEDS_FOR_A_PROFILE for members in data.on(task).values()):
+            body.append(
+                f"There is no performance profile{where}: it needs at least {SEEDS_FOR_A_PROFILE} seeds per "
+                "controller."
+            )
             continue
         caption = (
             f"Performance profiles{where}: the share of seeds whose final {data.metric_label} is above a "
@@ -311,14 +318,42 @@ def _single_seeds(data: StudyData) -> list[str]:
     ]
 
 
-def _starts(data: StudyData) -> list[str]:
-    """Return a note on each controller that did not start from random parameters."""
-    lines = []
+def _starts(data: StudyData) -> list[Part]:
+    """Return a table of the controllers that started from a rule, and notes on other starts and stages."""
+    lines, rows, exact = [], list[list[str]](), list[dict[str, Any]]()
     for (task, controller), members in data.cells.items():
         folders = [Path(row.directory) for row in members]
         name = f"{controller}{data.where(task)}"
-        lines.append(start_line(name, data.runs.root, folders, data.metric))
-    return [f"{line}." for line in lines if line]
+        lines.append(start_line(name, data.runs.root, folders, data.metric, with_rule=False))
+        if found := rule_start(data.runs.root, folders, data.metric):
+            values = [
+                MISSING if value is None else formatted(value) for value in (found.imitated, found.played)
+            ]
+            rows.append(
+                [*_environment_cell(data, task), controller, found.rule, f"{found.env_steps:,}", *values]
+            )
+            exact.append({"environment": task, "controller": controller, **asdict(found)})
+    notes: list[Part] = [f"{line}." for line in lines if line]
+    if not rows:
+        return notes
+    column = data.readable(data.column)
+    table = Table(
+        "starts",
+        "Controllers that started from a rule, which acted in the first steps of each run: mean of the "
+        "policies that imitated it, at the end of these steps, and of the rule, on the curve's episodes.",
+        [
+            *_environment_heading(data),
+            "controller",
+            "rule",
+            "steps",
+            f"{data.mode}: {column} after imitation",
+            f"the rule's {column}",
+        ],
+        rows,
+        pd.DataFrame(exact),
+        words=frozenset(range(2 + len(_environment_heading(data)))),
+    )
+    return [table, *notes]
 
 
 def _unequal_budgets(data: StudyData) -> list[str]:

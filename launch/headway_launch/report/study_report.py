@@ -1,5 +1,7 @@
 """The complete report of a study: its sections, and the summary at its top."""
 
+import pandas as pd
+
 from headway.store.provenance import provenance
 from headway.wording import counted
 from headway_launch.report.costs import energy_section, tradeoff_section
@@ -73,22 +75,33 @@ def _summary(data: StudyData) -> list[str]:
 
 
 def _best_learner(data: StudyData, task: str) -> str:
-    means = data.scores_on(task).groupby("controller")["score"].mean()
+    last = {name: data.by_seed(task, name, data.column) for name in data.on(task)}
+    has_last = all(episodes.size for episodes in last.values())
+    if has_last:
+        means = pd.Series({name: episodes.mean(axis="columns").mean() for name, episodes in last.items()})
+        what = f"mean {data.readable(data.column).partition(', ')[0]} in the last evaluation"
+        episodes = data.last_episodes(task)
+    else:
+        means = data.scores_on(task).groupby("controller")["score"].mean()
+        what, episodes = f"mean final {data.metric_label}", f"{data.curve_episodes(task)} per evaluation"
     best = (means * data.sign).max()
     names = [str(name) for name in means.index if means[name] * data.sign == best]
     seeds = counted(min(len(data.on(task)[name]) for name in names), "seed")
     where = f"On {task}, among" if len(data.tasks) > 1 else "Among"
     kind = "lowest" if data.lower_is_better else "highest"
-    episodes = f"{data.curve_episodes(task)} per evaluation"
+    value = f"{formatted(best * data.sign)} over {seeds}"
     if len(means) == 1:
-        return (
-            f"`{names[0]}` has a mean final {data.metric_label} of {formatted(best * data.sign)} over "
-            f"{seeds} on {task} ({episodes})."
+        line = f"`{names[0]}` has a {what} of {value} on {task} ({episodes})."
+    else:
+        line = (
+            f"{where} the learners, {' and '.join(f'`{name}`' for name in names)} "
+            f"{'has' if len(names) == 1 else 'have'} the {kind} {what}: {value} ({episodes})."
         )
+    if not has_last:
+        return line
     return (
-        f"{where} the learners, {' and '.join(f'`{name}`' for name in names)} "
-        f"{'has' if len(names) == 1 else 'have'} the {kind} mean final {data.metric_label}: "
-        f"{formatted(best * data.sign)} over {seeds} ({episodes})."
+        f"{line} The final {data.metric_label} below is another value: the mean over the last 20% of the "
+        f"curve, with {data.curve_episodes(task)} per evaluation, the first of these."
     )
 
 

@@ -29,7 +29,7 @@ def test_the_page_shows_everything_at_every_width_and_requests_nothing(
     assert "ippo" in browser_page.value(cells)
     assert "rule optimal" in shown
     pictures = "[...document.images].filter(image => image.naturalWidth > 300).length"
-    assert browser_page.value(pictures) == browser_page.value("document.images.length") >= 6
+    assert browser_page.value(pictures) == browser_page.value("document.images.length") >= 5
     assert browser_page.value("document.documentElement.scrollWidth") <= width
     anchors = "[...document.querySelectorAll('nav a')].every(a => document.querySelector(a.hash))"
     assert browser_page.value(anchors)

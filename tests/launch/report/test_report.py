@@ -20,6 +20,7 @@ from sections import section_of, tables, words
 from headway.contracts.errors import HeadwayError
 from headway.stats.intervals import paired_difference_over_seeds
 from headway_launch.commands.main import run as run_command
+from headway_launch.report import reward_tables
 from headway_launch.report.costs import tradeoff_section
 from headway_launch.report.elements import Listing, Picture, Report, Section, Table
 from headway_launch.report.html_page import html
@@ -129,7 +130,11 @@ def test_both_reward_sections_show_the_stored_values(two: Two) -> None:
 def test_every_result_of_the_summary_names_its_episodes(two: Two, keep_run: Keep, root: Path) -> None:
     report = two.report
     best, against, *_ = report.summary
-    assert best.endswith("the highest mean final reward: 6 over 3 seeds (2 episodes per evaluation).")
+    assert best.endswith(
+        "the highest mean return in the last evaluation: 7.500 over 3 seeds (4 episodes). The final reward "
+        "below is another value: the mean over the last 20% of the curve, with 2 episodes per evaluation, "
+        "the first of these."
+    )
     assert "`optimal`, in the last evaluation (4 episodes) [95% intervals]" in against
     assert (
         "evaluated on 2 episodes per point of the curves, which are also the first 2 of the last "
@@ -151,7 +156,7 @@ def test_budgets_that_differ_by_rounding_are_noted_below_the_tables(
         record = json.loads((longer / "run.json").read_text())
         (longer / "run.json").write_text(json.dumps({**record, "durable_env_steps": 1048}))
     line = "`coma` 1,048, `ia2c` 40, `ippo` 40."
-    assert text_of(made(root)).count(f"rounded up to whole iterations): {line}") == 2
+    assert text_of(made(root)).count(f"rounded up to whole iterations): {line}") == 1
 
 
 def test_report_warns_of_narrow_intervals_over_few_seeds(keep_run: Keep, root: Path) -> None:
@@ -165,7 +170,10 @@ def test_report_warns_of_narrow_intervals_over_few_seeds(keep_run: Keep, root: P
     assert text_of(made(root)).count("With fewer than 10 seeds, bootstrap intervals are too narrow") == 4
 
 
-def test_captions_name_a_cell_that_diverged(two: Two, keep_run: Keep, root: Path) -> None:
+def test_captions_name_a_cell_that_diverged(
+    two: Two, keep_run: Keep, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reward_tables, "SEEDS_FOR_A_PROFILE", 2)
     copytree(two.root, root)
     for seed in range(2):
         keep_run((*TRACKING, "algo=ddpg"), seed, -98_439.0 - seed)
@@ -179,8 +187,9 @@ def test_captions_name_a_cell_that_diverged(two: Two, keep_run: Keep, root: Path
 
 @pytest.mark.parametrize("diverged", [False, True])
 def test_if_lower_is_better_a_far_lower_cell_is_drawn(
-    diverged: bool, two: Two, keep_run: Keep, root: Path
+    diverged: bool, two: Two, keep_run: Keep, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(reward_tables, "SEEDS_FOR_A_PROFILE", 2)
     copytree(two.root, root)
     for seed in range(2):
         keep_run((*TRACKING, "algo=ddpg"), seed, 98_000.0 if diverged else -98_000.0, energy=KNOWN)
@@ -259,7 +268,7 @@ def test_every_part_is_a_file_and_the_page_is_self_contained(keep_run: Keep, roo
     assert run_command(["report", "study", "--store", str(root), "--output", str(folder)]) == 0
     page = (folder / "report.html").read_text()
     pictures = {path.stem for path in (folder / "pictures").iterdir()}
-    assert {"learning_curves", "sample_efficiency", "profiles", "components", "footprint"} < pictures
+    assert {"learning_curves", "sample_efficiency", "components", "footprint"} < pictures
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in (folder / "pictures").iterdir())
     assert page.count('<img src="data:image/svg+xml;base64,') == len(pictures)
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
@@ -353,7 +362,7 @@ def test_a_single_seed_and_missing_rules_are_noted(keep_run: Keep, root: Path) -
     assert "Only one seed of ippo was trained: the variation" in text_of(report)
     assert "No classical rule was run" in text_of(report)
     assert "The study has only one learner" in text_of(report)
-    assert "There is no performance profile" in text_of(report)
+    assert "There is no performance profile: it needs at least 5 seeds per controller." in text_of(report)
     assert not {"intervals", "profiles"} & set(axes_of(report))
     keep_run((*TRACKING, "algo=ia2c"), 0, 1.0)
     assert "Only one seed each of ia2c, ippo was trained" in text_of(made(root))
@@ -498,6 +507,18 @@ def test_stages_are_drawn_on_a_task_if_all_its_cells_have_them(keep_run: Keep, r
     assert (len(data.tasks), data.stage_ends) == (1, {})
 
 
+def test_starts_from_a_rule_are_rows_of_one_table(keep_run: Keep, root: Path) -> None:
+    start = ("start.rule=optimal", "start.env_steps=20_000", "env_steps=100_000")
+    for algo in ("ippo", "ia2c"):
+        keep_run((*TRACKING, f"algo={algo}", *start), 0, 1.0, rules=RULES)
+    report = made(root)
+    assert table(report, "starts")[["controller", "rule", "played"]].to_numpy().tolist() == [
+        ["ia2c", "optimal", 10.5],
+        ["ippo", "optimal", 10.5],
+    ]
+    assert "started from rule" not in text_of(report).replace("Controllers that started from a rule", "")
+
+
 def test_the_phase_of_a_rule_is_known_per_learner(keep_run: Keep, root: Path) -> None:
     start = ("start.rule=optimal", "start.env_steps=20_000")
     keep_run((*TRACKING, "algo=ippo", "env_steps=100_000", *start), 0, 1.0)
@@ -517,7 +538,7 @@ def test_lower_costs_are_better(keep_run: Keep, root: Path) -> None:
         keep_run((*TRACKING, "algo=ippo"), seed, 1.0, rules=RULES, wait=2.0)
         keep_run((*TRACKING, "algo=ia2c"), seed, 9.0, rules=RULES, wait=7.0)
     report = made(root, metric="evaluation_greedy/wait", lower=True)
-    assert "`ippo` has the lowest mean final wait: 2 over 2 seeds" in text_of(report)
+    assert "`ippo` has the lowest mean wait in the last evaluation: 2 over 2 seeds" in text_of(report)
     assert "training: final wait" not in text_of(report)
     assert "training: final reward" in text_of(report)
     chances = table(report, "probability_of_improvement").set_index("a")["probability"]
