@@ -15,8 +15,9 @@ absent before the episode ends.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,7 @@ from headway.contracts import (
 from headway.contracts.errors import EnvironmentRaisedError, one_line
 from headway.contracts.spaces import allows_action
 
+Answer = TypeVar("Answer")
 Infos = Mapping[str, Mapping[str, Any]]
 StepAnswer = tuple[Mapping[str, Any], Mapping[str, float], Mapping[str, bool], Mapping[str, bool], Infos]
 _MALFORMED = (TypeError, ValueError, KeyError, AttributeError, IndexError)
@@ -124,16 +126,18 @@ class ParallelEnvBatch:
             raise HeadwayError(
                 f"environment '{name}' has no possible_agents; list every agent that can appear"
             )
-        space = first.action_space(agents[0])
         metadata = getattr(first, "metadata", {})
         metrics, agents_come_and_go = options.metrics, options.agents_come_and_go
         if metrics is None:
             metrics = metadata.get("episode_metrics", ())
-        observation_spaces = {agent: first.observation_space(agent) for agent in agents}
+        observation_spaces, action_spaces = (
+            {agent: _call(name, kind, partial(getattr(first, kind), agent)) for agent in agents}
+            for kind in ("observation_space", "action_space")
+        )
         size = observation_size(name, observation_spaces)
-        actions = action_space(name, {agent: first.action_space(agent) for agent in agents})
+        actions = action_space(name, action_spaces)
         try:
-            _, infos = _reset(first, name, seed=0)
+            _, infos = _call(name, "reset", partial(first.reset, seed=0))
         except (TypeError, ValueError) as error:
             raise _malformed(name, 0, _RESET_FORM, error) from error
         if agents_come_and_go is None:
@@ -154,7 +158,7 @@ class ParallelEnvBatch:
         self._index = {agent: index for index, agent in enumerate(agents)}
         self._has_masks = self._spec.has_action_mask
         self._flat = observation_spaces[agents[0]].shape == (size,)
-        self._decode = action_decoder(space)
+        self._decode = action_decoder(action_spaces[agents[0]])
         self._allocate(copies)
 
     def _allocate(self, copies: int) -> None:
@@ -239,7 +243,8 @@ class ParallelEnvBatch:
     def _begin(self, copy: int, episode: int) -> None:
         env = self._envs[copy]
         self._episodes[copy] = episode
-        answer = _reset(env, self._spec.name, episode_seed(self._seeds[copy], episode))
+        seed = episode_seed(self._seeds[copy], episode)
+        answer = _call(self._spec.name, "reset", partial(env.reset, seed=seed))
         self._ended[copy] = False
         self._observed.observations[copy] = 0
         try:
@@ -488,13 +493,13 @@ class ParallelEnvBatch:
             )
 
 
-def _reset(env: ParallelEnv, name: str, seed: int) -> tuple[Mapping[str, Any], Infos]:
+def _call(name: str, call: str, function: Callable[[], Answer]) -> Answer:
     try:
-        return env.reset(seed=seed)
+        return function()
     except HeadwayError:
         raise
     except Exception as error:  # the environment's own code
-        raise EnvironmentRaisedError(name, "reset", error) from error
+        raise EnvironmentRaisedError(name, call, error) from error
 
 
 def _malformed(name: str, step: int, form: str, error: Exception) -> HeadwayError:

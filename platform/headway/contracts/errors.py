@@ -24,7 +24,7 @@ class EnvironmentRaisedError(Exception):
     """An exception of an environment's own code, with the environment, the call and the line of code."""
 
     def __init__(self, environment: str, call: str, error: Exception) -> None:
-        """`call`: `reset` or `step`; `error`: the exception, with its traceback."""
+        """`call`: name of the environment's method; `error`: the exception, with its traceback."""
         frames = traceback.extract_tb(error.__traceback__)[1:]  # without the caller of the environment
         own = [frame for frame in frames if "site-packages" not in frame.filename] or frames
         place = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""

@@ -138,7 +138,7 @@ def test_unusable_files_are_one_line_errors(text: str, message: str, tmp_path: P
     assert "\n" not in str(caught.value)
 
 
-def test_an_error_in_the_first_reset_is_named_with_its_line(tmp_path: Path) -> None:
+def test_an_error_in_the_first_reset_or_in_a_space_is_named_with_its_line(tmp_path: Path) -> None:
     """Also one in a function that `reset` calls, and one in a Gymnasium environment."""
     lines = SHUTTLE.splitlines()
     [place] = [number for number, line in enumerate(lines) if line.strip().startswith("def reset(")]
@@ -148,6 +148,9 @@ def test_an_error_in_the_first_reset_is_named_with_its_line(tmp_path: Path) -> N
         one_copy(written(tmp_path, "\n".join(lines)))
     told = f"raised RuntimeError: no data in reset (shuttle.py, line {len(lines)})"
     assert str(caught.value).endswith(told)
+    changed = SHUTTLE.replace("return Box(0, 1", "1 / 0; return Box(0, 1")
+    with pytest.raises(EnvironmentRaisedError, match=r"in observation_space \(shuttle.py, line \d+\)"):
+        one_copy(written(tmp_path, changed))
     single = (
         "import gymnasium\nclass Single(gymnasium.Env):\n    action_space = gymnasium.spaces.Discrete(2)\n"
     )
