@@ -27,8 +27,8 @@ METRIC_DESCRIPTIONS = {
     "reward_regularity": "regularity component c, mean over control intervals, unweighted",
     "team_reward": "sum of the team's reward over the day, equal to the return with "
     "env.args.reward.scope=team: number of control intervals (length) * (0.4 reward_service + 0.1 "
-    "reward_efficiency + 0.1 reward_maintenance + 0.4 reward_regularity), with the weights of "
-    "env.args.reward",
+    "reward_efficiency + 0.1 reward_maintenance + 0.4 reward_regularity), with the weights "
+    "env.args.reward.service to env.args.reward.regularity",
 }
 METRICS = tuple(METRIC_DESCRIPTIONS)
 """Names, in the order in which the kernel fills them."""

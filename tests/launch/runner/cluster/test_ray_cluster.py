@@ -152,7 +152,8 @@ def test_an_address_without_a_cluster_starts_nothing(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run([*words, *TINY, "backend=ray", "backend.address=127.0.0.1:1"]) == 2
+    words = (*words, *TINY, "evaluation.every=4096", "backend=ray", "backend.address=127.0.0.1:1")
+    assert run(words) == 2
     shown = capsys.readouterr().err
     assert shown.startswith(
         "headway: no Ray cluster answers at backend.address=127.0.0.1:1 (Connection refused)"
