@@ -34,7 +34,7 @@ class AlgorithmResult:
 
     part: AlgorithmSearch
     ranked: Sequence[Candidate]
-    """Those that were trained to the end, best first, and then the others, those with more steps first."""
+    """Candidates: those trained to the end by score, best first; then the others by steps, most first."""
     unscored: int
     """Number of candidates that failed."""
     runs: Mapping[str, Sequence["RunRow"]]

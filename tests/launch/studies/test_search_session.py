@@ -116,7 +116,7 @@ def test_a_search_killed_anywhere_ends_as_one_that_was_not(
     for place in (1, 5, 14):
         count = 0
 
-        def killed(*arguments: Any, name: str, place: int = place) -> Any:  # noqa: ANN401 - any method
+        def killed(*arguments: object, name: str, place: int = place) -> object:
             nonlocal count
             count += 1
             if count == place + 1:

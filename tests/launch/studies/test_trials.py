@@ -20,7 +20,7 @@ SPACE = {
 GRID = {"algo.epochs": {"low": 1, "high": 3}, "algo.clip": [0.1, 0.2]}
 
 
-def part(label: str = "ippo", space: dict[str, Any] = SPACE, **keys: Any) -> AlgorithmSearch:  # noqa: ANN401 - any key
+def part(label: str = "ippo", space: dict[str, Any] = SPACE, **keys: object) -> AlgorithmSearch:
     settings = {"base": (), "algorithms": {label: ()}, "candidates": 8, "env_steps": 100, "batch": 4, **keys}
     search = Search(**settings)
     overrides = ("env=trivial", f"algo={label}")

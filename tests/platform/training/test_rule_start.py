@@ -89,8 +89,8 @@ def test_the_penalty_falls_linearly_to_0_and_the_critic_learns_first() -> None:
     with collector_of(plan, "serial") as collector:
         collector.begin()
         parameters = parameters_of(plan)
-        learner.acting_parameters = lambda: parameters  # type: ignore[method-assign] - a spy
-        mode = SynchronousMode(learner, collector, 2, start, 6)  # type: ignore[arg-type] - fakes
+        learner.acting_parameters = lambda: parameters
+        mode = SynchronousMode(learner, collector, 2, start, 6)
         for iteration in range(1, 7):
             mode.iterate(iteration, (iteration - 1) / 6)
     told, expected = zip(*learner.told, strict=True), [(8, True), (6, False), (4, False), (2, False)]
@@ -102,8 +102,8 @@ def test_the_penalty_falls_linearly_to_0_and_the_critic_learns_first() -> None:
 def test_a_rule_leaves_an_iteration_to_learn_in() -> None:
     with collector_of(_plan("visitors", rule_iterations=2), "serial") as collector:
         with pytest.raises(ValueError, match="acts in 2 of 2 iterations"):
-            SynchronousMode(_Spy(), collector, 2, StartConfig(), 2)  # type: ignore[arg-type] - fakes
-        SynchronousMode(_Spy(), collector, 2, StartConfig(), 3)  # type: ignore[arg-type] - fakes
+            SynchronousMode(_Spy(), collector, 2, StartConfig(), 2)
+        SynchronousMode(_Spy(), collector, 2, StartConfig(), 3)
 
 
 @pytest.mark.parametrize("stop", [2, 3, 4, 5])
