@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,6 @@ from headway_algos.batches.device import resolve_device
 from headway_algos.batches.divergence import raise_if_critic_diverged, raise_if_diverged
 from headway_algos.batches.hidden_states import HiddenStates
 from headway_algos.batches.layout import mean_per_replica
-from headway_algos.batches.nested_states import replica_state, same_shapes, trained_state
-from headway_algos.batches.old_policies import OldPolicies
 from headway_algos.batches.policy_batch import PolicyBatch, standardise
 from headway_algos.batches.policy_stack import PolicyStack
 from headway_algos.components import component
@@ -28,12 +25,8 @@ from headway_algos.networks.actor import Actor
 from headway_algos.networks.gru import RecurrentNetwork
 from headway_algos.on_policy.behaviour_policy import BehaviourPolicy
 from headway_algos.on_policy.critics import Critic
-from headway_algos.on_policy.imitation import decisions, imitate, imitate_sequences
-from headway_algos.on_policy.rule_decisions import RuleDecisions
 from headway_algos.on_policy.updates import Update
 
-_NETWORKS = ("networks", "target")
-"""Parts of a critic's state that another run can start from: networks with their normalisers."""
 GPU_PIECE_SAMPLES = 2**20
 """Minimum number of samples per piece on a GPU, which pieces sized for a processor's cache leave idle."""
 
@@ -44,8 +37,8 @@ Order = Callable[
 """(update, grouping, rows, advantages (P, B), generators for shuffling (P,), generators for the order (R,))
 -> metrics by name, each (P,). Updates the policies in place."""
 
-
-Improve = Callable[[PolicyBatch, Tensor, int], dict[str, Tensor]]
+Improve = Callable[[Trajectory, PolicyBatch, Tensor, int], dict[str, Tensor]]
+"""(trajectory, its rows, advantages (P, B), iteration) -> metrics by name, each (P,). Updates policies."""
 
 
 def simultaneous(
@@ -58,11 +51,6 @@ def simultaneous(
 ) -> dict[str, Tensor]:
     """Update all policies at once, on advantages of the policies that acted."""
     return update.improve(rows, advantages, generators)
-
-
-def _unchanged(rows: PolicyBatch, advantages: Tensor, iteration: int) -> dict[str, Tensor]:
-    """Leave the policies as they are."""
-    return {}
 
 
 class OnPolicyLearner(PolicyStack):
@@ -96,10 +84,6 @@ class OnPolicyLearner(PolicyStack):
         # Observations of the trajectory include the indices already.
         acting = acting_policy(replace(config, agent_id=False), spec)
         self.behaviour = BehaviourPolicy(config, self.actor, acting, self.layout)
-        self.rule_decisions = RuleDecisions(len(seeds), policies)
-        self.start_actor: Actor | None = None
-        """Policies with which training started, while a penalty keeps the new ones near them."""
-        self.kl_coeff, self.critic_only = 0.0, False
 
     def acting_parameters(self) -> dict[str, NDArray[Any]]:
         """Return the actor's tensors and normaliser, as named by the acting policy."""
@@ -113,38 +97,9 @@ class OnPolicyLearner(PolicyStack):
         share = self.step_scale * self.config.lr_factor(progress)
         self.policy_update.anneal(share)
         self.critic.anneal(share)
-        improve = _unchanged if self.critic_only else partial(self._improve_policies, trajectory)
-        metrics = self._learn(trajectory, iteration, improve)
+        metrics = self._learn(trajectory, iteration, self._improve_policies)
         # The running statistics apply from the next iteration on.
         self.include_observations(self.actor.moments, trajectory)
-        raise_if_diverged(self, self.acting_parameters(), f"{self.unit} {iteration}")
-        return metrics
-
-    def anchor(self, kl_coeff: float, critic_only: bool) -> None:
-        """Implement `headway.contracts.AnchoredLearner.anchor`."""
-        self.kl_coeff, self.critic_only = kl_coeff, critic_only
-        if kl_coeff > 0 and self.start_actor is None:
-            self.start_actor = self._copy_of_actor()
-
-    def _copy_of_actor(self) -> Actor:
-        return self.actor.narrow(
-            torch.arange(len(self.seeds) * self.grouping.num_policies, device=self.device)
-        )
-
-    def imitate(
-        self, trajectory: Trajectory, iteration: int, iterations: int
-    ) -> dict[str, NDArray[np.float64]]:
-        """Train the critic on the rule's returns; let the policies learn its decisions.
-
-        Recurrent policies learn in each iteration from its rows; others learn in the last one, from a sample
-        of all iterations.
-        """
-        trajectory = self._drop_unused_slots(trajectory_with_ids(trajectory, self.agent_ids))
-        self.critic.anneal(self.step_scale)
-        # First, so that policies learn on observations that are normalised as in the next iteration.
-        self.include_observations(self.actor.moments, trajectory)
-        improve = partial(self._imitate, trajectory, iterations)
-        metrics = self._learn(trajectory, iteration, improve)
         raise_if_diverged(self, self.acting_parameters(), f"{self.unit} {iteration}")
         return metrics
 
@@ -159,7 +114,7 @@ class OnPolicyLearner(PolicyStack):
         raise_if_critic_diverged(self, estimate.advantages, f"{self.unit} {iteration}")
         rows = self._policy_batch(trajectory, observations, hidden_states)
         advantages = self.layout.rows(np.broadcast_to(estimate.advantages, trajectory.rewards.shape))
-        info = improve(rows, advantages, iteration)
+        info = improve(trajectory, rows, advantages, iteration)
         critic_metrics = self.critic.fit(estimate, iteration)
         # Each of these is as large as all observations; the normalisers allocate as much again.
         del observations, hidden_states, estimate, rows, advantages
@@ -221,18 +176,9 @@ class OnPolicyLearner(PolicyStack):
             else hidden_states.sequences(self.layout, self.config.model.sequence_length),
         )
 
-    def _start_policies(self, trajectory: Trajectory) -> OldPolicies | None:
-        """Return the start policies in the states of a trajectory; None if no penalty needs them."""
-        if self.start_actor is None or self.kl_coeff == 0:
-            return None
-        observations = self._observations(trajectory, self.start_actor)
-        coefficients = observations.new_full((len(observations),), self.kl_coeff)
-        return OldPolicies.of(self.start_actor, observations, None, coefficients, self.config.piece_samples)
-
     def _improve_policies(
         self, trajectory: Trajectory, rows: PolicyBatch, advantages: Tensor, iteration: int
     ) -> dict[str, Tensor]:
-        rows = replace(rows, start=self._start_policies(trajectory))
         if self.config.normalise_advantages:
             advantages = standardise(advantages, torch.from_numpy(rows.selected).to(self.device))
         generators = self.generators("actor minibatch", iteration)
@@ -240,53 +186,12 @@ class OnPolicyLearner(PolicyStack):
         improve: Order = component("order", self.config.order).make
         return improve(self.policy_update, self.grouping, rows, advantages, generators, order_generators)
 
-    def _imitate(
-        self, trajectory: Trajectory, iterations: int, rows: PolicyBatch, advantages: Tensor, iteration: int
-    ) -> dict[str, Tensor]:
-        generators = self.generators("actor minibatch", iteration)
-        rows, parts = decisions(rows, self.actor.nvec), (self.config, self.layout, generators)
-        if rows.sequences is not None:
-            share = 1 - (iteration - 1) / iterations
-            return imitate_sequences(self.actor, rows, *parts, share)
-        observed = self.layout.rows(trajectory.observations[:-1], trajectory.alive[:-1])
-        self.rule_decisions.include(replace(rows, observations=observed), generators)
-        if iteration < iterations:
-            return {}
-        moments = self.actor.moments if self.config.normalise_observations else None
-        sample = self.rule_decisions.rows(moments, self.device)
-        self.rule_decisions = RuleDecisions(len(self.seeds), self.grouping.num_policies)
-        return imitate(self.actor, sample, *parts)
-
-    def replay_state(self) -> dict[str, Any] | None:
-        """Return the rule's decisions that are kept for imitation; None if there are none."""
-        kept = self.rule_decisions.state()
-        return {"rule_decisions": kept} if any(kept) else None
-
-    def load_replay_state(self, state: dict[str, Any]) -> None:
-        """Continue from the result of `replay_state`."""
-        self.rule_decisions.load_state(state["rule_decisions"])
-
-    def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
-        """Implement `headway.contracts.StartingLearner.start_from`."""
-        parent = replica_state(trained_state(state), replica, replicas, len(self.seeds))
-        self.actor.load_state_dict(parent["actor"])
-        if not with_critic:
-            return []
-        own = self.critic.state_dict()
-        networks = {name: own[name] for name in _NETWORKS if name in own}
-        taken = {name: part for name, part in parent["critic"].items() if name in _NETWORKS}
-        if not same_shapes(taken, networks):
-            return ["the critic of start.run does not fit this environment: a new one is trained"]
-        self.critic.load_state_dict({**own, **taken})
-        return []
-
     def state_dict(self) -> dict[str, Any]:
-        """Return the states of policies, critic and update, and the start policies if a penalty uses them."""
+        """Return the states of policies, critic and update."""
         return {
             "actor": self.actor.state_dict(),
             "critic": self.critic.state_dict(),
             "policy_update": self.policy_update.state_dict(),
-            **({} if self.start_actor is None else {"start": self.start_actor.state_dict()}),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -294,6 +199,3 @@ class OnPolicyLearner(PolicyStack):
         self.actor.load_state_dict(state["actor"])
         self.critic.load_state_dict(state["critic"])
         self.policy_update.load_state_dict(state["policy_update"])
-        if "start" in state:
-            self.start_actor = self._copy_of_actor()
-            self.start_actor.load_state_dict(state["start"])

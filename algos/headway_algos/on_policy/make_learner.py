@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from headway.contracts import AnchoredLearner, EnvSpec, Learner
 from headway_algos.batches.device import resolve_device
 from headway_algos.config import AlgoConfig, SimultaneousConfig
-from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.per_seed_learner import PerSeedLearner
 from headway_algos.on_policy.split_learner import SplitLearner
+from headway_algos.on_policy.warm_start import WarmStartLearner
 
 
 def make_learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> Learner:
@@ -21,4 +21,4 @@ def make_learner(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device
 def _one(config: AlgoConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> AnchoredLearner:
     if config.splits and isinstance(config, SimultaneousConfig):
         return SplitLearner(config, spec, seeds, device)
-    return OnPolicyLearner(config, spec, seeds, device)
+    return WarmStartLearner(config, spec, seeds, device)

@@ -15,7 +15,7 @@ from torch import Tensor
 from headway.contracts import EnvSpec, HeadwayError, Trajectory
 from headway_algos.batches.nested_states import map_tensors
 from headway_algos.config import SimultaneousConfig
-from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.on_policy.warm_start import WarmStartLearner
 
 
 class SplitLearner:
@@ -27,8 +27,8 @@ class SplitLearner:
     def __init__(self, config: SimultaneousConfig, spec: EnvSpec, seeds: Sequence[int], device: str) -> None:
         self.config = config
         shared = replace(config, policies="shared", agent_id=False, shared_until=0.0, apart_lr=1.0)
-        self.shared = OnPolicyLearner(shared, spec, seeds, device)
-        self.separate = OnPolicyLearner(config, spec, seeds, device, config.apart_lr)
+        self.shared = WarmStartLearner(shared, spec, seeds, device)
+        self.separate = WarmStartLearner(config, spec, seeds, device, config.apart_lr)
         self.is_split = False
 
     @property

@@ -15,9 +15,9 @@ from headway.contracts import AnchoredLearner, Box, Discrete, EnvSpec, MultiDisc
 from headway_algos.batches.old_policies import OldPolicies
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import ModelConfig
-from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.split_learner import SplitLearner
 from headway_algos.on_policy.updates.gradient_update import GradientUpdate
+from headway_algos.on_policy.warm_start import WarmStartLearner
 from headway_algos.registry import ENTRIES, configure
 
 Fabricate = Callable[..., Trajectory]
@@ -40,12 +40,12 @@ def _learner(
     return learner
 
 
-def _one(learner: AnchoredLearner) -> OnPolicyLearner:
-    assert isinstance(learner, OnPolicyLearner)
+def _one(learner: AnchoredLearner) -> WarmStartLearner:
+    assert isinstance(learner, WarmStartLearner)
     return learner
 
 
-def _distributions(learner: OnPolicyLearner, observations: Tensor) -> list[Distribution]:
+def _distributions(learner: WarmStartLearner, observations: Tensor) -> list[Distribution]:
     """Return torch's distributions of the actor at raw observations (P, B, D)."""
     actor = learner.actor
     with torch.no_grad():
@@ -125,7 +125,7 @@ def test_the_gradient_is_that_of_the_divergence_from_the_start(
     assert float(info["gradient_norm"]) == pytest.approx(7 * float(expected), rel=1e-4)
 
 
-def _distributions_with_gradient(learner: OnPolicyLearner, observations: Tensor) -> Distribution:
+def _distributions_with_gradient(learner: WarmStartLearner, observations: Tensor) -> Distribution:
     outputs = learner.actor.network(observations).transpose(1, 2)
     if learner.actor.log_std is None:
         return Categorical(logits=outputs)

@@ -20,7 +20,7 @@ from headway.contracts import (
     Trajectory,
 )
 from headway_algos.config import ModelConfig
-from headway_algos.on_policy.learner import OnPolicyLearner
+from headway_algos.on_policy.warm_start import WarmStartLearner
 from headway_algos.registry import ENTRIES, configure
 
 Fabricate = Callable[..., Trajectory]
@@ -178,8 +178,8 @@ def test_seeds_of_a_stack_imitate_as_each_would_alone(
             made.actions[:] = _rule_actions(spec, made.observations[:-1], made.action_masks[:-1])
             made.acting[:] &= number < 2
         tracks.append(track)
-    stacked = OnPolicyLearner(config, spec, (1, 2, 3), "cpu")
-    alone = [OnPolicyLearner(config, spec, (seed,), "cpu") for seed in (1, 2, 3)]
+    stacked = WarmStartLearner(config, spec, (1, 2, 3), "cpu")
+    alone = [WarmStartLearner(config, spec, (seed,), "cpu") for seed in (1, 2, 3)]
     for iteration in (1, 2):
         metrics = stacked.imitate(joined([track[iteration - 1] for track in tracks]), iteration, 2)
         for learner, track in zip(alone, tracks, strict=True):
