@@ -1,0 +1,61 @@
+"""The tables of the studies' pages, and the script that writes them from a store."""
+
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+SCRIPT = Path(__file__).resolve().parents[2] / "docs" / "study_tables.py"
+rewritten = runpy.run_path(str(SCRIPT))["rewritten"]
+PAGE = """Before.
+
+<!-- headway compare bus --metrics 'return,wait time' -->
+| old |
+<!-- end -->
+
+Between.
+
+<!-- headway compare merge -->
+<!-- end -->
+"""
+
+
+def test_each_block_gets_the_output_of_its_command() -> None:
+    asked: list[list[str]] = []
+
+    def output(words: list[str]) -> str:
+        asked.append(words)
+        return f"| table {len(asked)} |\n"
+
+    assert rewritten(PAGE, output) == (
+        "Before.\n\n"
+        "<!-- headway compare bus --metrics 'return,wait time' -->\n| table 1 |\n<!-- end -->\n\n"
+        "Between.\n\n"
+        "<!-- headway compare merge -->\n| table 2 |\n<!-- end -->\n"
+    )
+    assert asked == [["compare", "bus", "--metrics", "return,wait time"], ["compare", "merge"]]
+
+
+def test_a_block_whose_command_fails_stays() -> None:
+    assert rewritten(PAGE, lambda _: None) == PAGE
+
+
+def test_every_table_on_a_page_is_that_of_its_command() -> None:
+    tables = 0
+    for page in (SCRIPT.parent / "studies").glob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        opened = re.findall(r"<!-- headway (.*?) -->", text)
+        printed = re.findall(r"^`headway (compare .*) --format markdown`\.$", text, re.MULTILINE)
+        assert opened == printed, page.name
+        tables += len(opened)
+    assert tables
+
+
+def test_a_missing_store_is_one_line(tmp_path: Path) -> None:
+    command = [sys.executable, str(SCRIPT), "--store", str(tmp_path / "none")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].endswith(
+        f"there is no store {tmp_path}/none; give one that has the studies' runs: --store FOLDER"
+    )
