@@ -53,7 +53,7 @@ class Runner:
             self._shares = self._cluster.share_cores(self._config.backend, planned, usable_cores())
             require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
             compile_kernels_of([cell.experiment for cell in cells if cell.jobs])
-            self._store = SessionStore.open(self._config.store)
+            self._store = SessionStore(self._config.store)
             self._cells = [SessionCell(self._store, cell) for cell in cells]
             self._jobs = [SessionJob.of(cell, job) for cell in self._cells for job in cell.plan.jobs]
             self._energy = SessionEnergy(self._config.energy, self._jobs)

@@ -102,7 +102,7 @@ class RunIndex:
 
     def _refresh(self, database: sqlite3.Connection) -> None:
         seen = dict(database.execute("SELECT directory, stamp FROM runs"))
-        present = {str(folder): _stamp(folder) for folder in run_folders(self.root)}
+        present = {str(folder): folder_stamp(folder) for folder in run_folders(self.root)}
         changed = {name: stamp for name, stamp in present.items() if seen.get(name) != stamp}
         gone = [name for name in seen if name not in present]
         if not changed and not gone:
@@ -133,7 +133,8 @@ def _prepare(database: sqlite3.Connection) -> None:
     database.execute("COMMIT")
 
 
-def _stamp(folder: Path) -> str:
+def folder_stamp(folder: Path) -> str:
+    """Return a text that changes whenever a run's record or summary is written."""
     parts = []
     for name in (RECORD, SUMMARY):
         with suppress(FileNotFoundError):

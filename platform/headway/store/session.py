@@ -4,9 +4,8 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from headway.config.experiment import StoreConfig
 from headway.contracts import HeadwayError
@@ -28,9 +27,8 @@ from headway.store.run_folder import (
     rules_file,
 )
 from headway.store.run_plan import PLAN
-from headway.store.tracking.cells import CellSummary, send_cell
-from headway.store.tracking.sync import RunSync, send_unsent
-from headway.store.tracking.thread import TrackingThread, TrackingUpdate
+from headway.store.tracking.cells import CellSummary
+from headway.store.tracking.thread import TrackingThread
 
 
 class RunTakenError(HeadwayError):
@@ -57,24 +55,12 @@ class SessionStore:
     """
 
     def __init__(self, config: StoreConfig) -> None:
+        """Raise HeadwayError if the root cannot be written or a given tracking URI does not respond."""
         self.root = Path(config.root).resolve()
         self.curve_points = config.curve_points
         make_folder(self.root)
         self.tracking_uri = config.tracking_uri
         self._mlflow = TrackingThread(self.root, uri) if (uri := config.tracking_uri) else None
-        self._syncs: dict[Path, RunSync] = {}
-        """One per run folder, also if the run is resumed in this session: two would send points twice."""
-
-    @classmethod
-    def open(cls, config: StoreConfig) -> Self:
-        """Open or create the store.
-
-        Raises HeadwayError if its root cannot be written or a given tracking URI does not respond.
-        """
-        store = cls(config)
-        if store._mlflow:
-            store._mlflow.connect()
-        return store
 
     def claiming(self) -> AbstractContextManager[None]:
         """Return a lock under which one session at a time looks for runs of others and begins its own."""
@@ -118,14 +104,10 @@ class SessionStore:
         """Return the lines for the user since the last call."""
         return self._mlflow.notices() if self._mlflow else ()
 
-    def track(self, update: TrackingUpdate) -> None:
-        """Send an update to the MLflow server in the background, if there is one."""
+    def follow(self, directory: Path) -> None:
+        """Send a run to the MLflow server in the background, if there is one."""
         if self._mlflow:
-            self._mlflow.submit(update)
-
-    def track_run(self, directory: Path) -> None:
-        """Send what the MLflow server lacks of a run in the background, if there is one."""
-        self.track(self._syncs.setdefault(directory, RunSync(directory)).send)
+            self._mlflow.follow(directory)
 
     def close(self, seconds: float = _CLOSE_SECONDS) -> tuple[str, ...]:
         """Wait, at most `seconds`, until the MLflow server is up to date; return the last notices.
@@ -133,7 +115,6 @@ class SessionStore:
         Runs of earlier sessions are included.
         """
         if self._mlflow:
-            self._mlflow.submit(partial(send_unsent, self.root))
             self._mlflow.close(seconds)
         return self.notices()
 
@@ -206,7 +187,7 @@ class Cell:
         write_json(path, stored | {rule: [dict(row) for row in rows] for rule, rows in episodes.items()})
 
     def finish(self, status: Status, metrics: Mapping[str, float] | None = None) -> None:
-        """Store rule returns, session energy and status of the cell, and end its parent run on the server.
+        """Store rule returns, session energy and status of the cell, which MLflow gets with its runs.
 
         Metrics of earlier sessions stay, unless `metrics` replaces them. Raises HeadwayError if the summary
         cannot be written.
@@ -221,8 +202,6 @@ class Cell:
             ended=now(),
             metrics=metrics or {},
         ).keep(self._store.root)
-        root, study, name = self._store.root, self._study, self.name
-        self._store.track(lambda tracker: send_cell(root, tracker, study, name))
 
 
 class Run:
@@ -234,11 +213,10 @@ class Run:
     def __init__(self, store: SessionStore, directory: Path, record: RunRecord, gate: Path) -> None:
         self.directory, self.gate = directory, gate
         self.record = record
-        self._store = store
         self._resumed_at = time.monotonic()
         self.energy = EnergyLog(directory)
         """Energy samples of the run, whose values are totals over all sessions."""
-        store.track_run(directory)
+        store.follow(directory)
 
     @property
     def run_id(self) -> str:
@@ -253,8 +231,7 @@ class Run:
     def durable(self, iteration: int) -> None:
         """Record that the training process has made everything up to `iteration` durable.
 
-        A thinned copy of the curve up to there goes to the MLflow server. Raises HeadwayError if the record
-        cannot be written or the log cannot be read.
+        Raises HeadwayError if the record cannot be written or the log cannot be read.
         """
         logged = read_rows(self.directory, "curve", after=self.record.durable_iteration)
         env_steps = [int(row["env_steps"]) for row in logged if int(row["iteration"]) <= iteration]
@@ -265,7 +242,6 @@ class Run:
         )
         self.record.write(self.directory)
         self.energy.write_if_due()
-        self._store.track_run(self.directory)
 
     def note_restart(self, iteration: int) -> None:
         """Tag the run as resumed without snapshots, with new episodes after `iteration`.
@@ -277,7 +253,6 @@ class Run:
         after = f"{before}, {iteration}" if before else str(iteration)
         self.record = replace(self.record, tags={**self.record.tags, EPISODES_RESTARTED: after})
         self.record.write(self.directory)
-        self._store.track_run(self.directory)
 
     def finish(self, status: Status, summary: Mapping[str, float | int | str | None]) -> None:
         """End the run after its training process: close its gate, then write summary and status.
@@ -293,4 +268,3 @@ class Run:
         write_json(self.directory / SUMMARY, summary)
         self.record = replace(self.record, status=status, ended=now(), duration_s=self.duration_s)
         self.record.write(self.directory)
-        self._store.track_run(self.directory)

@@ -26,7 +26,7 @@ STEPS = 100
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sequence[Run]:
     """Two seeds of one stack, without MLflow."""
     monkeypatch.setattr(SessionStore, "track", lambda store, update: None)
-    cell = Cell(SessionStore.open(StoreConfig(root=str(tmp_path))), "study", "bus", "ippo", {})
+    cell = Cell(SessionStore(StoreConfig(root=str(tmp_path))), "study", "bus", "ippo", {})
     return [cell.begin_run(seed, "", {}, iterations=10) for seed in (0, 1)]
 
 

@@ -88,7 +88,7 @@ def test_smaller_blocks_than_requested_are_the_same_configuration(tmp_path: Path
     limited = ("algo=ippo", "env=mpe2.simple_spread_v3",
                "env.max_copies_per_process=2", "backend=process", "evaluation.rules=[]")  # fmt: skip
     [cell] = plan_cells([progress(tmp_path, *limited, "seed=0")])
-    store = SessionStore.open(cell.experiment.config.store)
+    store = SessionStore(cell.experiment.config.store)
     work = SessionCell(store, cell)
     [run] = work.runs(cell.jobs[0], CoreShares(1, 1))
     run.finish("KILLED", {})

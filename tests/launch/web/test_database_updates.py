@@ -18,7 +18,7 @@ PATIENCE_S = 60.0
 
 
 def _begun(root: Path) -> Run:
-    store = SessionStore.open(StoreConfig(root=str(root)))
+    store = SessionStore(StoreConfig(root=str(root)))
     return Cell(store, "study", "bus", "mappo", {}).begin_run(0, "seed: 0\n", {}, iterations=10)
 
 

@@ -81,7 +81,7 @@ def _mlflow(root: Path) -> Any:  # noqa: ANN401 - MLflow is not typed
 
 
 def test_a_run_from_beginning_to_end(root: Path) -> None:
-    store = SessionStore.open(StoreConfig(root=str(root), curve_points=11))
+    store = SessionStore(StoreConfig(root=str(root), curve_points=11))
     cell = Cell(store, "study one", "bus", "mappo", {"algo.lr": 3e-4})
     chosen: tuple[dict[str, str], ...] = ({"preset": "merge_paper", "candidate": "own reward"}, {})
     runs = [
@@ -124,7 +124,7 @@ def test_a_run_from_beginning_to_end(root: Path) -> None:
 
 
 def test_only_durable_points_reach_mlflow(root: Path) -> None:
-    store = SessionStore.open(StoreConfig(root=str(root)))
+    store = SessionStore(StoreConfig(root=str(root)))
     run = _begin(store)
     _train(run, 0, 25)
     store.close()
@@ -137,7 +137,7 @@ def test_only_durable_points_reach_mlflow(root: Path) -> None:
 
 def test_a_resumed_run_sends_each_point_once(root: Path) -> None:
     config = StoreConfig(root=str(root))
-    first = SessionStore.open(config)
+    first = SessionStore(config)
     run = _begin(first)
     _train(run, 0, 25)
     run.energy.append({"kwh": 0.25})
@@ -145,7 +145,7 @@ def test_a_resumed_run_sends_each_point_once(root: Path) -> None:
     first.close()
     sync(root)
 
-    second = SessionStore.open(config)
+    second = SessionStore(config)
     [resumed] = second.resume([run.run_id])
     assert resumed.energy.last() == {"kwh": 0.25}
     RunLog(resumed.directory).rewind(20)
@@ -171,7 +171,7 @@ def test_a_resumed_run_sends_each_point_once(root: Path) -> None:
 def test_a_finished_run_of_a_killed_stack_keeps_its_summary(root: Path) -> None:
     """The session died between the ends of the stack's two runs, and the rest is resumed with both."""
     config = StoreConfig(root=str(root))
-    first = SessionStore.open(config)
+    first = SessionStore(config)
     runs = [_begin(first, seed) for seed in (0, 1)]
     for run in runs:
         _train(run, 0, ITERATIONS)
@@ -180,7 +180,7 @@ def test_a_finished_run_of_a_killed_stack_keeps_its_summary(root: Path) -> None:
     first.close()
     sync(root)
 
-    second = SessionStore.open(config)
+    second = SessionStore(config)
     for run in second.resume([run.run_id for run in runs]):
         run.finish("FINISHED", {"cpu_seconds": 8.0})
     assert second.close() == ()
@@ -190,7 +190,7 @@ def test_a_finished_run_of_a_killed_stack_keeps_its_summary(root: Path) -> None:
 
 
 def test_rules_stored_by_earlier_sessions_stay(root: Path) -> None:
-    store = SessionStore.open(StoreConfig(root=str(root)))
+    store = SessionStore(StoreConfig(root=str(root)))
     cell = Cell(store, "study one", "bus", "mappo", {})
     cell.begin_run(0, "seed: 0\n", {}, iterations=ITERATIONS)
     cell.keep_rules({"held": [{"return": 1.0}], "random": [{"return": 2.0}]})
@@ -202,7 +202,7 @@ def test_rules_stored_by_earlier_sessions_stay(root: Path) -> None:
 
 
 def test_a_running_run_is_not_taken_over(root: Path) -> None:
-    store = SessionStore.open(StoreConfig(root=str(root)))
+    store = SessionStore(StoreConfig(root=str(root)))
     run = _begin(store)
     with pytest.raises(HeadwayError, match=f"process {os.getpid()}"):
         store.resume([run.run_id])
@@ -224,7 +224,7 @@ def test_a_broken_database_is_one_line_and_nothing_is_sent_twice(root: Path) -> 
     Tracker(root)
     whole = (root / "mlflow.db").read_bytes()
     (root / "mlflow.db").write_bytes(b"no database at all" * 100)
-    store = SessionStore.open(StoreConfig(root=str(root)))
+    store = SessionStore(StoreConfig(root=str(root)))
     run = _begin(store)
     _train(run, 1, ITERATIONS)
     run.finish("FINISHED", {"final_reward": 2.0})
@@ -260,7 +260,7 @@ def _cell_metrics(root: Path, name: str) -> dict[str, list[float]]:
 def test_data_of_a_cell_reach_mlflow_later_and_once(root: Path) -> None:
     """This includes cells whose runs are complete in MLflow; values of earlier sessions stay."""
     config = StoreConfig(root=str(root))
-    store = SessionStore.open(config)
+    store = SessionStore(config)
     cell = Cell(store, "study one", "bus", "mappo", {"algo.lr": 3e-4})
     run = cell.begin_run(0, "seed: 0\n", {}, iterations=ITERATIONS)
     _train(run, 1, 10)
@@ -268,7 +268,7 @@ def test_data_of_a_cell_reach_mlflow_later_and_once(root: Path) -> None:
     assert store.close() == ()
     assert sync(root).runs == (run.run_id,)
     for metrics in ({"energy_total_kwh": 0.5, "rules/held_return": 3.0}, {"rules/held_return": 4.0}):
-        later = SessionStore.open(config)
+        later = SessionStore(config)
         Cell(later, "study one", "bus", "mappo", {"algo.lr": 3e-4}).finish("FINISHED", metrics)
         assert later.close() == ()
 
@@ -286,7 +286,7 @@ def test_data_of_a_cell_reach_mlflow_later_and_once(root: Path) -> None:
 
 def test_a_device_in_a_run_folder_is_not_sent(root: Path) -> None:
     """A pipe, with which the sending session would hang, is not sent either."""
-    store = SessionStore.open(StoreConfig(root=str(root)))
+    store = SessionStore(StoreConfig(root=str(root)))
     run = _begin(store)
     _train(run, 1, ITERATIONS)
     (run.directory / "episodes-000002.parquet").symlink_to("/dev/null")
@@ -299,7 +299,7 @@ def test_a_device_in_a_run_folder_is_not_sent(root: Path) -> None:
 
 
 def test_an_unreadable_run_does_not_block_other_runs(root: Path) -> None:
-    store = SessionStore.open(StoreConfig(root=str(root)))
+    store = SessionStore(StoreConfig(root=str(root)))
     broken, whole = _begin(store, seed=0), _begin(store, seed=1)
     for run in (broken, whole):
         _train(run, 1, 10)
@@ -355,7 +355,7 @@ root, folder, seed, moment = sys.argv[1:]
 sys.path.insert(0, folder)
 from test_session import StoreConfig, SessionStore, _begin, _train, sync
 time.sleep(max(0.0, float(moment) - time.time()))
-store = SessionStore.open(StoreConfig(root=root))
+store = SessionStore(StoreConfig(root=root))
 run = _begin(store, int(seed))
 _train(run, 1, 10)
 run.finish("FINISHED", {"final_reward": float(seed)})
@@ -385,7 +385,7 @@ _KILLED = """
 import sys
 sys.path.insert(0, sys.argv[2])
 from test_session import RunIndex, StoreConfig, SessionStore, _begin, _train
-store = SessionStore.open(StoreConfig(root=sys.argv[1]))
+store = SessionStore(StoreConfig(root=sys.argv[1]))
 run = _begin(store)
 _train(run, 1, 25)
 print(run.run_id, flush=True)
@@ -408,7 +408,7 @@ def test_a_killed_session_leaves_a_run_that_can_be_resumed(root: Path) -> None:
     assert (row.run_id, row.status, row.iterations) == (run_id, "KILLED", 20)
     sync(root)
 
-    store = SessionStore.open(StoreConfig(root=str(root)))
+    store = SessionStore(StoreConfig(root=str(root)))
     [run] = store.resume([run_id])
     RunLog(run.directory).rewind(20)
     _train(run, 21, ITERATIONS)

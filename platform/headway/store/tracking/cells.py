@@ -11,7 +11,7 @@ from headway.config.experiment import without_password
 from headway.config.schema import build
 from headway.contracts import HeadwayError
 from headway.store.atomic_files import locked, read_json, write_json
-from headway.store.run_folder import Process, Status, cell_summary_file, milliseconds
+from headway.store.run_folder import Process, RunRecord, Status, cell_summary_file, milliseconds
 from headway.store.tracking.client import Tracker
 
 _LOCK_SECONDS = 30.0
@@ -77,14 +77,14 @@ def _locked(root: Path) -> AbstractContextManager[None]:
     return locked(root / ".cells.lock", _LOCK_SECONDS, "the summary of a cell was written")
 
 
-def is_attended(tracking_uri: str | None, session: Process, target: str | None) -> bool:
-    """Return whether another live session may be sending to `target` what it trains with `tracking_uri`.
+def is_attended(sent: CellSummary | RunRecord, target: str | None) -> bool:
+    """Return whether another live session may be sending a run or cell to `target`.
 
     Sessions send to servers only; `target` None is the store's own database.
     """
-    if target is None or tracking_uri is None or tracking_uri.rstrip("/") != target.rstrip("/"):
+    if target is None or sent.tracking_uri is None or sent.tracking_uri.rstrip("/") != target.rstrip("/"):
         return False
-    return session != Process.current() and session.may_live()
+    return sent.session != Process.current() and sent.session.may_live()
 
 
 def cell_summaries(root: Path) -> tuple[list[CellSummary], list[str]]:

@@ -1,8 +1,8 @@
 """Synchronisation of run folders to MLflow, during training or any time later."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping
-from contextlib import suppress
+import operator
+from collections.abc import Iterable, Mapping
 from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,10 +12,10 @@ from headway.contracts import HeadwayError
 from headway.store.artifacts import write_views
 from headway.store.atomic_files import locked, read_json, write_json
 from headway.store.checkpoint import latest_iteration
+from headway.store.index import folder_stamp
 from headway.store.parquet_log import read_rows
 from headway.store.run_folder import (
     CHECKPOINTS,
-    Process,
     RunRecord,
     cell_summary_file,
     now,
@@ -23,7 +23,7 @@ from headway.store.run_folder import (
     run_folders,
     status_of_all,
 )
-from headway.store.tracking.cells import CellSummary, cell_summaries, is_attended, send_cell
+from headway.store.tracking.cells import cell_summaries, is_attended, send_cell
 from headway.store.tracking.client import Tracker, TrackingError, database_uri
 from headway.store.tracking.thinning import ThinnedCurve
 
@@ -44,13 +44,19 @@ class RunSync:
         self._curve = ThinnedCurve(0, 0)
         self._sent_iteration = -1
         """Iteration up to which the curve has been sent."""
+        self._stamp = ""
+        """State of the folder when it was last sent; empty after an error."""
 
     def send(self, tracker: Tracker) -> None:
         """Send what MLflow lacks: the run and its tags, its curve up to the last checkpoint.
 
         For an ended run, also its files, with views of its log, and its status; for a finished one, also its
-        summary.
+        summary. Nothing is done if the run's record has not changed since the last call.
         """
+        stamp, before, self._stamp = folder_stamp(self.directory), self._stamp, ""
+        if stamp == before:
+            self._stamp = stamp
+            return
         record = RunRecord.read(self.directory)
         ended, tags = record.settled_status != "RUNNING", _run_tags(record)
         child, self._child = self._child, ""
@@ -67,6 +73,7 @@ class RunSync:
             self._child = child
         path = _state_file(self.directory, tracker.uri, tracker.local)
         write_json(path, read_json(path) | {"complete": _progress(record)})
+        self._stamp = stamp
 
     def _begin(self, tracker: Tracker, record: RunRecord, tags: Mapping[str, str], running: bool) -> str:
         """Find or create the run in MLflow, note it in the folder, and return its identity there.
@@ -116,99 +123,46 @@ class Synced(NamedTuple):
     """One line per tracking URI at which MLflow fails."""
 
 
-def sync(root: Path, tracking_uri: str | None = None) -> Synced:
-    """Bring MLflow up to date with every run folder under `root`.
+def sync(root: Path, tracking_uri: str | None = None, only_own: bool = False) -> Synced:
+    """Bring MLflow up to date with every run folder under `root`, or with those trained with `tracking_uri`.
 
     `tracking_uri` None: the database in the root. Safe to repeat: nothing is sent twice. Raises TrackingError
-    if MLflow fails.
+    if MLflow fails. `only_own`: what cannot be read is left out, since its URI is not known.
     """
     runs, problems = _runs(root)
     cells, more = cell_summaries(root)
-    done = _send_missing(root, tracking_uri, runs, cells)
-    return done._replace(problems=(*problems, *more, *done.problems))
+    if only_own:
+        problems, more = [], []
+        runs = [run for run in runs if run[1].tracking_uri == tracking_uri]
+        cells = [cell for cell in cells if cell.tracking_uri == tracking_uri]
+    uri = tracking_uri or database_uri(root)
+    lacking = [run for run in runs if not _is_complete(*run, uri, local=tracking_uri is None)]
+    folders = [folder for folder, record in lacking if not is_attended(record, tracking_uri)]
+    places = {
+        (cell.study, cell.cell)
+        for cell in cells
+        if not cell.is_sent(uri) and not is_attended(cell, tracking_uri)
+    }
+    attended = len(lacking) - len(folders)
+    if not folders and not places:
+        return Synced((), (*problems, *more), attended)
+    sent, unreadable = _send(root, Tracker(root, tracking_uri), folders, places)
+    return Synced(tuple(sent), (*problems, *more, *unreadable), attended)
 
 
 def sync_each(root: Path) -> Synced:
     """Bring MLflow up to date by `sync`, each run at the tracking URI it was trained with."""
-    runs, problems = _runs(root)
-    cells, more = cell_summaries(root)
+    (runs, problems), (cells, more) = _runs(root), cell_summaries(root)
     done = Synced(problems=(*problems, *more))
     for uri in dict.fromkeys(
         [*(run[1].tracking_uri for run in runs), *(cell.tracking_uri for cell in cells)]
     ):
         try:
-            there = _send_missing(root, uri, *_trained_with(uri, runs, cells))
+            there = sync(root, uri, only_own=True)
         except TrackingError as error:
             there = Synced(failures=(str(error),))
-        done = Synced(
-            done.runs + there.runs,
-            done.problems + there.problems,
-            done.attended + there.attended,
-            done.failures + there.failures,
-        )
+        done = Synced(*map(operator.add, done, there))
     return done
-
-
-def send_unsent(root: Path, tracker: Tracker) -> None:
-    """Send what is missing of runs and cells trained with a tracker's URI, but those of other live sessions.
-
-    Raises TrackingError if MLflow fails and, after all other runs are sent, HeadwayError if runs cannot be
-    read.
-    """
-    trained = _trained_with(tracker.uri, _runs(root)[0], cell_summaries(root)[0])
-    runs, cells, _ = _missing(root, tracker.uri, *trained)
-    if not runs and not cells:
-        return
-    _, unreadable = _send(root, tracker, runs, cells)
-    if unreadable:
-        raise HeadwayError("; ".join(unreadable))
-
-
-def _trained_with(
-    uri: str | None, runs: Iterable[tuple[Path, RunRecord]], cells: Iterable[CellSummary]
-) -> tuple[list[tuple[Path, RunRecord]], list[CellSummary]]:
-    return (
-        [run for run in runs if run[1].tracking_uri == uri],
-        [cell for cell in cells if cell.tracking_uri == uri],
-    )
-
-
-def _send_missing(
-    root: Path,
-    tracking_uri: str | None,
-    runs: Iterable[tuple[Path, RunRecord]],
-    cells: Iterable[CellSummary],
-) -> Synced:
-    """Send what is missing. Raises TrackingError if MLflow fails."""
-    folders, places, attended = _missing(root, tracking_uri, runs, cells)
-    if not folders and not places:
-        return Synced(attended=attended)
-    sent, unreadable = _send(root, Tracker(root, tracking_uri), folders, places)
-    return Synced(tuple(sent), tuple(unreadable), attended)
-
-
-def _missing(
-    root: Path,
-    tracking_uri: str | None,
-    runs: Iterable[tuple[Path, RunRecord]],
-    cells: Iterable[CellSummary],
-) -> tuple[list[Path], list[tuple[str, str]], int]:
-    """Return the run folders and the cells, (study, cell), that MLflow lacks, and the number of runs that
-    their live sessions are sending there."""
-    uri = tracking_uri or database_uri(root)
-    lacking = [run for run in runs if not _is_complete(*run, root, tracking_uri)]
-    free = [folder for folder, record in lacking if not _is_attended(record, tracking_uri)]
-    cells = [cell for cell in cells if not is_attended(cell.tracking_uri, cell.session, tracking_uri)]
-    places = [(cell.study, cell.cell) for cell in cells if not cell.is_sent(uri)]
-    return free, places, len(lacking) - len(free)
-
-
-def _is_attended(record: RunRecord, target: str | None) -> bool:
-    """Return whether a live session, or this process, is sending a run to `target`."""
-    if is_attended(record.tracking_uri, record.session, target):
-        return True
-    is_own = target is not None and record.tracking_uri == target and record.session == Process.current()
-    return is_own and record.settled_status == "RUNNING"
 
 
 def _send(
@@ -224,7 +178,7 @@ def _send(
         for folder in folders:
             try:
                 record = RunRecord.read(folder)
-                if _is_complete(folder, record, root, None if tracker.local else tracker.uri):
+                if _is_complete(folder, record, tracker.uri, tracker.local):
                     continue
                 RunSync(folder).send(tracker)
                 sent.append(record)
@@ -236,40 +190,33 @@ def _send(
     return [record.run_id for record in sent], unreadable
 
 
-def _end_cells(root: Path, tracker: Tracker, places: Collection[tuple[str, str]]) -> list[str]:
+def _end_cells(root: Path, tracker: Tracker, places: Iterable[tuple[str, str]]) -> list[str]:
     """End the MLflow parent runs of cells, each (study, cell), unless a run of the cell is still training.
 
     Their summaries are sent. Returns a line per unreadable one.
     """
-    # A session that ended before it sent its runs did not end their cells either.
     cells: dict[tuple[str, str], list[RunRecord]] = {place: [] for place in places}
     unreadable: list[str] = []
-    if not cells:
-        return unreadable
-    for folder in sorted(run_folders(root)):
-        with suppress(HeadwayError):
-            record = RunRecord.read(folder)
-            if (runs := cells.get((record.study, record.cell))) is not None:
-                runs.append(record)
+    for _, record in reversed(_runs(root)[0] if cells else []):
+        if (runs := cells.get((record.study, record.cell))) is not None:
+            runs.append(record)
     for (study, cell), runs in cells.items():
-        newest = {run.seed: run for run in sorted(runs, key=lambda run: run.started)}.values()
+        newest = {run.seed: run for run in runs}.values()
         statuses = {run.settled_status for run in newest}
         if "RUNNING" in statuses:
             continue
-        if cell_summary_file(root, study, cell).exists():
-            try:
+        try:
+            if cell_summary_file(root, study, cell).exists():
                 send_cell(root, tracker, study, cell, status_of_all(statuses) if newest else None)
-            except TrackingError:
-                raise
-            except HeadwayError as error:
-                unreadable.append(str(error))
-            continue
-        if not newest:
-            continue
-        [*_, last] = newest
-        _, parent = tracker.cell(last.study, last.cell, last.parameters, {}, running=False)
-        ended = max(run.ended or run.started for run in newest)
-        tracker.finish(parent, status_of_all(statuses), ended, {}, ())
+            elif newest:  # a session that ended before it sent its runs did not end their cells either
+                [*_, last] = newest
+                _, parent = tracker.cell(last.study, last.cell, last.parameters, {}, running=False)
+                ended = max(run.ended or run.started for run in newest)
+                tracker.finish(parent, status_of_all(statuses), ended, {}, ())
+        except TrackingError:
+            raise
+        except HeadwayError as error:
+            unreadable.append(str(error))
     return unreadable
 
 
@@ -298,15 +245,11 @@ def _state_file(folder: Path, uri: str, local: bool) -> Path:
     return folder / (_STATE if local else f"tracking-{sha256(uri.encode()).hexdigest()[:8]}.json")
 
 
-def _is_complete(folder: Path, record: RunRecord, root: Path, tracking_uri: str | None) -> bool:
-    uri = tracking_uri or database_uri(root)
-    path = _state_file(folder, uri, tracking_uri is None)
-    if not path.exists():
-        return False
+def _is_complete(folder: Path, record: RunRecord, uri: str, local: bool) -> bool:
     try:
-        state = read_json(path)
+        state = read_json(_state_file(folder, uri, local))
     except HeadwayError:
-        return False  # the run is sent again, which rewrites the file
+        return False  # missing, or broken: the run is sent again, which rewrites the file
     return state.get("uri") == uri and state.get("complete") == _progress(record)
 
 

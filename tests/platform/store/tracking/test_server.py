@@ -109,7 +109,7 @@ def test_a_server_that_reconnects_receives_everything_once(
 ) -> None:
     monkeypatch.setattr(thread, "_RETRY_SECONDS", 0.0)
     config = StoreConfig(root=str(tmp_path), tracking_uri=line.uri)
-    store = SessionStore.open(config)
+    store = SessionStore(config)
     cell = Cell(store, "lost", "bus", "mappo", {"algo.lr": 3e-4})
     first, second = (cell.begin_run(seed, "seed: 0\n", {}, iterations=ITERATIONS) for seed in (0, 1))
     train(first, 1, 10)
@@ -152,7 +152,7 @@ def test_the_next_session_sends_what_an_unreachable_server_missed(
     line: Line, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = StoreConfig(root=str(tmp_path), tracking_uri=line.uri)
-    store = SessionStore.open(config)
+    store = SessionStore(config)
     cell = Cell(store, "away", "bus", "mappo", {})
     line.is_cut = True
     run = cell.begin_run(0, "seed: 0\n", {}, iterations=ITERATIONS)
@@ -161,14 +161,14 @@ def test_the_next_session_sends_what_an_unreachable_server_missed(
     [notice] = store.close()
     assert "headway sync" in notice
     with pytest.raises(HeadwayError, match="cannot be reached"):
-        SessionStore.open(config)
-    local = Cell(SessionStore.open(StoreConfig(root=str(tmp_path))), "here", "bus", "mappo", {})
+        SessionStore(config)
+    local = Cell(SessionStore(StoreConfig(root=str(tmp_path))), "here", "bus", "mappo", {})
     live = local.begin_run(0, "seed: 0\n", {}, iterations=ITERATIONS)
     done = sync_each(tmp_path)  # the store's database gets its runs nevertheless
     assert (done.runs, len(done.failures)) == ((live.run_id,), 1)
 
     line.is_cut = False
-    other = SessionStore.open(config)
+    other = SessionStore(config)
     assert other.close() == ()
     assert stored(line.uri, "away", run.run_id)[:2] == ("FINISHED", expected(ITERATIONS))
     assert sync_each(tmp_path) == Synced()
@@ -189,6 +189,6 @@ def test_an_unreachable_server_is_a_one_line_error_at_the_start(
     assert printed.count("\n") == 1
     assert not list(tmp_path.rglob("run.json"))
     with pytest.raises(HeadwayError):
-        SessionStore.open(StoreConfig(root=str(tmp_path), tracking_uri="ftp://nowhere"))
+        SessionStore(StoreConfig(root=str(tmp_path), tracking_uri="ftp://nowhere"))
     with pytest.raises(HeadwayError, match=r"at http://me@127\.0\.0\.1:\d+ cannot be reached"):
         require_answer(uri.replace("//", "//me:secret@"))
