@@ -152,42 +152,35 @@ def run(arguments: Sequence[str], typed: bool = False) -> int:
         code = _dispatch(words, debug, typed)
         sys.stdout.flush()  # a closed pipe or full disk raises here, inside the try block
         return code
-    except (HeadwayError, EnvironmentRaisedError) as error:
-        if debug:
-            raise
-        print_line(f"headway: {' '.join(str(error).split())}")
-        return 2
-    except KeyboardInterrupt:
-        if debug:
-            raise
-        print_line("headway: stopped")
-        return 130
-    except SystemExit as error:  # not of Headway's own code
-        if debug:
-            raise
-        print_line(f"headway: {exit_of_environment(error)} (--debug shows where)")
-        return 2
-    except MemoryError as error:
-        if debug:
-            raise
-        found = f" ({text})" if (text := " ".join(str(error).split())) else ""
-        print_line(
-            f"headway: this needs more memory than is free{found}; lower sizes, such as rollout.copies, "
-            "backend.stack or the environment's own"
-        )
-        return 2
-    except Exception as error:
+    except BaseException as error:
         if isinstance(error, BrokenPipeError) and _only_prints(words):  # `headway runs | head`
             silence(sys.stdout)
             silence(sys.stderr)
             return 0
         if debug:
             raise
-        text = " ".join(str(error).split())
         if isinstance(error, OSError):
             silence(sys.stdout)
-        print_line(f"headway: unexpected {type(error).__name__}: {text} (--debug shows where)")
-        return 2
+        print_line(f"headway: {_line_of(error)}")
+        return 130 if isinstance(error, KeyboardInterrupt) else 2
+
+
+def _line_of(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    match error:
+        case HeadwayError() | EnvironmentRaisedError():
+            return text
+        case KeyboardInterrupt():
+            return "stopped"
+        case SystemExit():  # not of Headway's own code
+            return f"{exit_of_environment(error)} (--debug shows where)"
+        case MemoryError():
+            return (
+                f"this needs more memory than is free{f' ({text})' if text else ''}; lower sizes, such as "
+                "rollout.copies, backend.stack or the environment's own"
+            )
+        case _:
+            return f"unexpected {type(error).__name__}: {text} (--debug shows where)"
 
 
 def _complete(words: Sequence[str]) -> None:

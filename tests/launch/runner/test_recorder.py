@@ -23,9 +23,8 @@ STEPS = 100
 
 
 @pytest.fixture
-def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sequence[Run]:
-    """Two seeds of one stack, without MLflow."""
-    monkeypatch.setattr(SessionStore, "track", lambda store, update: None)
+def runs(tmp_path: Path) -> Sequence[Run]:
+    """Two seeds of one stack."""
     cell = Cell(SessionStore(StoreConfig(root=str(tmp_path))), "study", "bus", "ippo", {})
     return [cell.begin_run(seed, "", {}, iterations=10) for seed in (0, 1)]
 
