@@ -13,7 +13,6 @@ from headway_launch.commands.arguments import add_dry_run_argument, add_store_ar
 if TYPE_CHECKING:
     from headway_launch.runner.jobs import CellPlan
     from headway_launch.runner.stored_run import StoredRun
-    from headway_launch.studies.plan import StudyProgress
 
 EXAMPLES = """\
 examples:
@@ -42,7 +41,6 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.runner.runner import EXIT_STOPPED, run_sessions
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.dry_run import print_estimate
-    from headway_launch.studies.plan import StudyProgress
     from headway_launch.studies.session import require_all_ended
 
     for word in arguments.runs:
@@ -62,20 +60,15 @@ def execute(arguments: argparse.Namespace) -> int:
         if run.record.status == "FINISHED":
             raise HeadwayError(f"run {run.record.run_id} has finished: there is nothing to resume")
         run.record.require_free()
-    standings: list[StudyProgress] = []
-    held: list[Path] = []
-    if arguments.study:
-        standings, cells, held = _cells_of_study(root, arguments.study, runs)
-    else:
-        cells = _cells_of(runs)
+    study = arguments.study
+    cells, held = _cells_of_study(root, study, runs) if study else (_cells_of(runs), [])
     if arguments.dry_run and cells:
-        others = [StudyProgress(cell.experiment) for cell in cells[len(standings) :]]
-        return print_estimate([*standings, *others], cells)
-    code, left = run_sessions(cells, arguments.debug, plan_kept=bool(arguments.study))
+        return print_estimate(cells)
+    code, left = run_sessions(cells, arguments.debug, plan_kept=bool(study))
     if code != EXIT_STOPPED:
-        require_all_ended(arguments.study or runs[0].record.study, [*held, *left])
+        require_all_ended(study or runs[0].record.study, [*held, *left])
     if not cells:
-        print_line(f"headway: all runs of study {arguments.study} have finished: there is nothing to resume")
+        print_line(f"headway: all runs of study {study} have finished: there is nothing to resume")
     return code
 
 
@@ -85,19 +78,16 @@ def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
     from headway_launch.studies.plan import cell_labels
 
     batches = jobs_to_resume(runs, {})
-    experiments = [jobs[0].experiment for jobs in batches]
-    labels = cell_labels(experiments) if experiments else []
+    labels = cell_labels([jobs[0].experiment for jobs in batches])
     return [
-        CellPlan(experiment, jobs, label=label)
-        for experiment, jobs, label in zip(experiments, batches, labels, strict=True)
+        CellPlan(jobs[0].experiment, jobs, label=label) for jobs, label in zip(batches, labels, strict=True)
     ]
 
 
 def _cells_of_study(
     root: Path, study: str, named: Sequence["StoredRun"]
-) -> tuple[list["StudyProgress"], list["CellPlan"], list[Path]]:
-    """Return the progress of the study's sweeps, the cells left to train, and the folders of other runs that
-    are being trained.
+) -> tuple[list["CellPlan"], list[Path]]:
+    """Return the cells left to train, and the folders of other runs that are being trained.
 
     The cells are those of the study's sweeps, then of its other unfinished runs and the `named` runs.
     """
@@ -121,23 +111,10 @@ def _cells_of_study(
     standings = [StudyProgress.of(root, experiment, rows) for experiment in planned]
     print_progress(study, standings)
     covered = {run_id for standing in standings for run_id in standing.run_ids or ()}
-    others = {
-        run.directory: run
-        for run in (
-            *named,
-            *(
-                StoredRun.read(root, Path(row.directory))
-                for row in rows
-                if row.status in ("KILLED", "FAILED") and row.run_id not in covered
-            ),
-        )
-        if run.record.run_id not in covered
-    }
+    free = [Path(row.directory) for row in rows if row.status in ("KILLED", "FAILED")]
+    stopped = (*named, *(StoredRun.read(root, folder) for folder in free if folder.name not in covered))
+    others = {run.directory: run for run in stopped if run.record.run_id not in covered}
     cells = [*plan_cells(standings), *_cells_of(list(others.values()))]
     labels = cell_labels([cell.experiment for cell in cells])
-    labelled = [replace(cell, label=label) for cell, label in zip(cells, labels, strict=True)]
-    return (
-        standings,
-        labelled,
-        [Path(row.directory) for row in rows if row.status == "RUNNING" and row.run_id not in covered],
-    )
+    held = [Path(row.directory) for row in rows if row.status == "RUNNING" and row.run_id not in covered]
+    return [replace(cell, label=label) for cell, label in zip(cells, labels, strict=True)], held

@@ -39,9 +39,8 @@ def execute(arguments: argparse.Namespace) -> int:
     print_notices(arguments.overrides, [experiment])
     if arguments.dry_run:
         from headway_launch.studies.dry_run import print_estimate
-        from headway_launch.studies.plan import StudyProgress
 
-        return print_estimate([StudyProgress.untouched(experiment)], cells)
+        return print_estimate(cells)
     from headway_launch.runner.runner import Runner
 
     return Runner(cells, arguments.debug).run()

@@ -72,7 +72,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         from headway_launch.studies.dry_run import print_estimate
 
-        return print_estimate(session.progress, session.cells)
+        return print_estimate(session.cells)
     _, code = session.train(arguments.debug)
     return code
 

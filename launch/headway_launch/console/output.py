@@ -24,13 +24,11 @@ def visible(text: str) -> str:
     They could otherwise change the terminal, or what a reader sees of the line.
     """
     return "".join(
-        char.encode("unicode_escape").decode() if _is_control(char) and char not in "\n\t" else char
+        char.encode("unicode_escape").decode()
+        if category(char) in ("Cc", "Cf", "Cs") and char not in "\n\t"
+        else char
         for char in text
     )
-
-
-def _is_control(char: str) -> bool:
-    return category(char) in ("Cc", "Cf", "Cs")
 
 
 @contextmanager

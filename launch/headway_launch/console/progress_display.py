@@ -74,7 +74,8 @@ class _InPlace(ABC):
     def _is_due(self) -> bool:
         """Return whether to print a plain line, because the last is long ago and there is no terminal."""
         now = time.monotonic()
-        due = self._live is None and now - self._printed >= _pause(now - self._began)
+        pause = min(max(_PLAIN_EVERY_S, _PLAIN_SHARE * (now - self._began)), _PLAIN_AT_MOST_EVERY_S)
+        due = self._live is None and now - self._printed >= pause
         self._printed = now if due else self._printed
         return due
 
@@ -166,11 +167,6 @@ class CountedProgress(_InPlace):
             return f"{counted}{self._remark}"
         left = (time.monotonic() - self._began) / self._done * (self._total - self._done)
         return f"{counted}, about {duration(left)} left{self._remark}"
-
-
-def _pause(passed: float) -> float:
-    """Return the pause between plain lines, s, `passed` seconds after the start."""
-    return min(max(_PLAIN_EVERY_S, _PLAIN_SHARE * passed), _PLAIN_AT_MOST_EVERY_S)
 
 
 def _cells(job: JobProgress, width: int) -> tuple[str, ...]:

@@ -53,7 +53,8 @@ def print_table(
     layout = _Layout(columns, rows, whole)
     left_out = layout.leave_out(spare, console.width)
     if layout.least_width > console.width:
-        layout.break_whole()
+        for column in layout.columns:
+            column.firm = column.numeric
     if layout.least_width > console.width:
         _print_as_lists(console, _Layout(columns, rows, whole), title)
         left_out = []
@@ -106,11 +107,6 @@ class _Layout:
             left_out.append(name)
         return left_out
 
-    def break_whole(self) -> None:
-        """Let text wrap in all columns."""
-        for column in self.columns:
-            column.may_break()
-
     @property
     def least_width(self) -> int:
         """Width of the table with headings and text wrapped as far as allowed."""
@@ -139,11 +135,8 @@ class _Column:
         self.name = name
         self.texts = [shown(value) for value in values]
         self.numeric = all(isinstance(value, int | float | None) for value in values)
-        self._firm = self.numeric or whole
-
-    def may_break(self) -> None:
-        """Let its text wrap."""
-        self._firm = self.numeric
+        self.firm = self.numeric or whole
+        """Its text does not wrap."""
 
     @property
     def longest(self) -> int:
@@ -154,7 +147,7 @@ class _Column:
     def least(self) -> int:
         """Width with all allowed wrapping."""
         heading = max([1, *map(len, self.name.split())])
-        if self._firm:
+        if self.firm:
             return max([min(heading, _UNBROKEN_HEADING), *map(len, self.texts)])
         words = (len(word) for text in self.texts for word in text.split())
         return min(max([heading, *words]), _UNBROKEN_TEXT)

@@ -465,7 +465,8 @@ def _first_part(override: str) -> str:
 def _keys_ending_in(key: str, overrides: Sequence[str]) -> list[str]:
     """Return the keys that end in `key`, in the experiment that `overrides` describe."""
     try:
-        found = compose(overrides if _names_env(overrides) else [*overrides, "env=trivial"])
+        has_env = any(_first_part(override) in ("env", "experiment") for override in overrides)
+        found = compose(overrides if has_env else [*overrides, "env=trivial"])
     except HeadwayError:
         return []
     described = (
@@ -474,10 +475,6 @@ def _keys_ending_in(key: str, overrides: Sequence[str]) -> list[str]:
         *describe(type(found.algo_config), "algo"),
     )
     return [field.key for field in described if field.key.endswith(f".{key}")]
-
-
-def _names_env(overrides: Sequence[str]) -> bool:
-    return any(_first_part(override) in ("env", "experiment") for override in overrides)
 
 
 def _option_hint(word: str) -> str:
@@ -525,8 +522,13 @@ def _compose_mapping(overrides: Sequence[str]) -> tuple[dict[str, Any], Mapping[
     except (HydraException, OmegaConfBaseException, YAMLError, ValueError) as error:
         deleted = [override for override in overrides if _DELETION.fullmatch(override)]
         if deleted:
-            others = [override for override in overrides if override not in deleted]
-            _require_set(deleted, _compose_mapping(others)[0])
+            mapping = _compose_mapping([override for override in overrides if override not in deleted])[0]
+            for override in deleted:
+                key = override[1:].partition("=")[0]
+                if not _has_key(mapping, key):
+                    raise HeadwayError(
+                        f"{override}: {key} is not set, so its default already applies"
+                    ) from error
         require_grammar(overrides)
         raise HeadwayError(_one_line(error, overrides)) from error
     assert isinstance(mapping, dict)
@@ -546,14 +548,6 @@ def require_grammar(overrides: Sequence[str]) -> None:
                 f"{override.removeprefix('++')} is not valid in Hydra's grammar; close brackets and quotes, "
                 "and quote text with special characters (in a shell, in two pairs): \"study='a: b'\""
             ) from error
-
-
-def _require_set(deleted: Sequence[str], mapping: Mapping[str, Any]) -> None:
-    """Raise HeadwayError for the first deletion of a key that is not set."""
-    for override in deleted:
-        key = override[1:].partition("=")[0]
-        if not _has_key(mapping, key):
-            raise HeadwayError(f"{override}: {key} is not set, so its default already applies")
 
 
 def _one_line(error: Exception, overrides: Sequence[str]) -> str:

@@ -97,11 +97,6 @@ class PlannedJob:
         """The configuration as trained, of these seeds."""
         return self.training.config
 
-    @property
-    def spec(self) -> EnvSpec:
-        """Spec of the training environment, with actions in the units of the policies."""
-        return self.training.spec
-
 
 @dataclass(frozen=True)
 class CellPlan:
@@ -271,6 +266,6 @@ def require_free_disk(root: Path, jobs: Sequence[PlannedJob], parallel: int) -> 
 
 def _replay_bytes(job: PlannedJob) -> int:
     """Return an upper bound on the bytes of a job's stored replay buffers at any time."""
-    experiment = job.experiment
-    each = experiment.algo.replay_bytes(experiment.algo_config, job.spec, experiment.config.env_steps)
+    experiment, spec = job.experiment, job.training.spec
+    each = experiment.algo.replay_bytes(experiment.algo_config, spec, experiment.config.env_steps)
     return _CHECKPOINTS_AT_ONCE * len(job.seeds) * each

@@ -3,11 +3,12 @@
 from collections.abc import Mapping, Sequence
 from heapq import heapify, heapreplace
 from itertools import pairwise
+from pathlib import Path
 from statistics import fmean
 
 from headway.config.experiment import ExperimentConfig
 from headway.rollout.workers.usage import usable_cores
-from headway.store.run_folder import Process, read_summary
+from headway.store.run_folder import Process, RunRecord, read_summary
 from headway.wording import counted, spans
 from headway_launch.console.output import print_line
 from headway_launch.console.progress import duration
@@ -20,7 +21,7 @@ from headway_launch.studies.plan import StudyProgress, plan_cells
 from headway_launch.studies.search_session import SearchSession
 
 
-def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan]) -> int:
+def print_estimate(cells: Sequence[CellPlan]) -> int:
     """Print the runs of a session and the estimated cost of training them; return the exit code.
 
     A cell with finished runs on this machine costs as much as their mean. The other cells are measured, by
@@ -33,8 +34,8 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
     named = [cell.label or cell.experiment.algo_name for cell in cells]
     kinds = [
         (name, _iteration(cell), *kind)
-        for name, each, cell in zip(named, progress, cells, strict=True)
-        for kind in _seeds_by_action(each, cell)
+        for name, cell in zip(named, cells, strict=True)
+        for kind in _seeds_by_action(cell)
     ]
     print_table(("cell", "iteration", "seeds", "runs", "action"), kinds, f"study {session.study}")
     if not planned:
@@ -42,7 +43,7 @@ def print_estimate(progress: Sequence[StudyProgress], cells: Sequence[CellPlan])
         return 0
     print(flush=True)  # show the list during the calibration
     shares = share_cores(session.backend, planned, usable_cores())
-    stored = [_of_finished_runs(each.finished, cell) for each, cell in zip(progress, cells, strict=True)]
+    stored = list(map(_of_finished_runs, cells))
     measured = [cell for cell, known in zip(cells, stored, strict=True) if cell.jobs and not known]
     paces, modes = calibrate(measured, shares) if measured else ({}, "")
     rows: list[tuple[Value, ...]] = []
@@ -135,13 +136,15 @@ def _until(pace: Pace, config: ExperimentConfig, begin: int, end: int) -> Expect
     return Expectation(whole.seconds - rest.seconds + pace.start_s, cpu_s, *energy)
 
 
-def _of_finished_runs(finished: Sequence[StoredRun], cell: CellPlan) -> list[Expectation]:
+def _of_finished_runs(cell: CellPlan) -> list[Expectation]:
     """Return the expected cost of each job of a cell: the mean of its finished runs on this machine.
 
     Of runs of several stacks, those of the smallest are taken that has as many seeds as the cell's largest
     job. Empty if there are none.
     """
     host, most = Process.current().host, max((len(job.seeds) for job in cell.jobs), default=0)
+    root = Path(cell.experiment.config.store.root)
+    finished = [StoredRun.read(root, folder) for folder in cell.finished]
     here = [run for run in finished if run.record.session.host == host and len(run.plan.stack) >= most]
     runs = [run for run in here if len(run.plan.stack) == min(len(each.plan.stack) for each in here)]
     if not runs:
@@ -177,15 +180,15 @@ def _iteration(cell: CellPlan) -> str:
     return f"{rollout.copies} x {rollout.steps} steps"
 
 
-def _seeds_by_action(progress: StudyProgress, cell: CellPlan) -> list[tuple[str, int, str]]:
+def _seeds_by_action(cell: CellPlan) -> list[tuple[str, int, str]]:
     """Return (seeds as text, number of seeds, action) for each action that the session takes on a cell."""
     kinds: dict[str, list[int]] = {}
     for job in cell.jobs:
         iterations = cell.experiment.config.iterations
         action = f"resume at iteration {job.iteration} of {iterations}" if job.resumed else "train"
         kinds.setdefault(action, []).extend(job.seeds)
-    others = {"none (finished)": progress.finished, "none (in another session)": progress.elsewhere}
-    kinds |= {action: [run.record.seed for run in runs] for action, runs in others.items() if runs}
+    others = {"none (finished)": cell.finished, "none (in another session)": cell.elsewhere}
+    kinds |= {action: [RunRecord.read(run).seed for run in runs] for action, runs in others.items() if runs}
     return [(spans(seeds), len(seeds), action) for action, seeds in kinds.items()]
 
 

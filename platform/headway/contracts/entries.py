@@ -22,11 +22,7 @@ def _identity(config: Any) -> Any:  # noqa: ANN401 - any record
     return config
 
 
-def _no_objection(config: Any, spec: EnvSpec) -> str | None:  # noqa: ANN401 - any record
-    return None
-
-
-def _any_budget(config: Any, iterations: int) -> str | None:  # noqa: ANN401 - any record
+def _no_objection(*_: Any) -> None:  # noqa: ANN401 - any record
     return None
 
 
@@ -35,14 +31,6 @@ def _no_anchor(config: Any, kl_coeff: float) -> str | None:  # noqa: ANN401 - an
         "this algorithm supports neither start.kl_coeff nor start.critic_iterations; leave them out, or use "
         "another algorithm, such as algo=ippo"
     )
-
-
-def _any_rollout(config: Any) -> Mapping[str, int]:  # noqa: ANN401 - any record
-    return {}
-
-
-def _no_replay(config: Any, spec: EnvSpec, env_steps: int) -> int:  # noqa: ANN401 - any record
-    return 0
 
 
 class Rule(Protocol):
@@ -169,10 +157,10 @@ class AlgoEntry:
     `cuda:NUMBER`."""
     refuses: Callable[[Any, EnvSpec], str | None] = _no_objection
     """(config, spec) -> one line saying why the algorithm cannot run on the environment; None if it can."""
-    replay_bytes: Callable[[Any, EnvSpec, int], int] = _no_replay
+    replay_bytes: Callable[[Any, EnvSpec, int], int] = lambda config, spec, env_steps: 0
     """(config, spec, environment steps per seed) -> upper bound on the bytes of one seed's replay data, which
     are stored in addition to a checkpoint; 0 for algorithms without replay."""
-    refuses_budget: Callable[[Any, int], str | None] = _any_budget
+    refuses_budget: Callable[[Any, int], str | None] = _no_objection
     """(config, iterations) -> one line saying why the config needs more iterations; None if they suffice."""
     starts: bool = False
     """Whether its learner is a `StartingLearner`: `start.rule` and `start.run` can be set."""
@@ -186,7 +174,7 @@ class AlgoEntry:
     """Modules that the forkserver imports once for all processes that run contributors."""
     kernels: tuple[str, ...] = ()
     """Modules of compiled code that the learner calls. Their `warm()` is called before training starts."""
-    rollout: Callable[[Any], Mapping[str, int]] = _any_rollout
+    rollout: Callable[[Any], Mapping[str, int]] = lambda config: {}
     """(config) -> default values of keys of `rollout`, such as `{"steps": 16}`. Every file and override takes
     precedence over them; keys left out have the platform's defaults (`headway list keys rollout`)."""
     record: Callable[[Mapping[str, Any]], type] | None = None

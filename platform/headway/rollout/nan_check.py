@@ -12,17 +12,13 @@ NameCopy = Callable[[int], str]
 """Function from a row of a batch to the name of its copy, for instance "copy 3 of seed 7"."""
 
 
-def _default_name(row: int) -> str:
-    return f"copy {row}"
-
-
 @np.errstate(over="ignore")
 def check_finite(
     spec: EnvSpec,
     outcome: StepResult | None,
     observed: Observations,
     step: int,
-    name_copy: NameCopy = _default_name,
+    name_copy: NameCopy = "copy {}".format,
 ) -> None:
     """Raise HeadwayError for NaN or infinity in any value that a learner reads.
 

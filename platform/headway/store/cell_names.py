@@ -1,11 +1,11 @@
 """Short names for the cells of a study, built from the choices and settings in which the cells differ."""
 
 import ast
-from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from headway.config.experiment import NO_PRESET
 from headway.contracts.errors import HeadwayError
@@ -13,6 +13,8 @@ from headway.store.index import RunRow
 from headway.store.run_folder import RunRecord
 from headway.wording import environment_name
 
+_Item = TypeVar("_Item")
+_Key = TypeVar("_Key", bound=Hashable)
 _TASK_PREFIX = "env."
 _ARGS = "env.args."
 _TRAINING_ARGS = "env.training_args."
@@ -57,10 +59,7 @@ def labelled_cells(runs: Iterable[RunRow], beside: Iterable[RunRow] = ()) -> dic
     """Return the runs of each cell by its label, sorted by label; errors and `beside` as in `cell_names`."""
     rows = list(runs)
     names = cell_names(rows, beside)
-    cells: dict[str, list[RunRow]] = defaultdict(list)
-    for row in rows:
-        cells[names[row.cell].label].append(row)
-    return dict(sorted(cells.items()))
+    return dict(sorted(_grouped(rows, lambda row: names[row.cell].label).items()))
 
 
 def cell_names(runs: Iterable[RunRow], beside: Iterable[RunRow] = ()) -> dict[str, CellName]:
@@ -69,19 +68,19 @@ def cell_names(runs: Iterable[RunRow], beside: Iterable[RunRow] = ()) -> dict[st
     `beside`: further runs, from whose cells the names distinguish the others too, such as those that a sweep
     has not finished. Raises HeadwayError if the record of one of `runs` cannot be read.
     """
-    choices = {cell: _choice(members) for cell, members in _by_cell(runs).items()}
-    for cell, members in _by_cell(beside).items():
+    choices = {cell: _choice(members) for cell, members in _grouped(runs, lambda run: run.cell).items()}
+    for cell, members in _grouped(beside, lambda run: run.cell).items():
         if cell not in choices:
             with suppress(HeadwayError):
                 choices[cell] = _choice(members)
     return names_among(choices)
 
 
-def _by_cell(runs: Iterable[RunRow]) -> dict[str, list[RunRow]]:
-    cells: dict[str, list[RunRow]] = defaultdict(list)
-    for run in runs:
-        cells[run.cell].append(run)
-    return cells
+def _grouped(items: Iterable[_Item], by: Callable[[_Item], _Key]) -> dict[_Key, list[_Item]]:
+    groups: dict[_Key, list[_Item]] = {}
+    for item in items:
+        groups.setdefault(by(item), []).append(item)
+    return groups
 
 
 def varied_settings(runs: Sequence[RunRow]) -> tuple[list[str], dict[str, Mapping[str, str]]]:
@@ -91,18 +90,16 @@ def varied_settings(runs: Sequence[RunRow]) -> tuple[list[str], dict[str, Mappin
     that are fields of a run, such as `algo.policies`, are left out, and so are cells whose record cannot be
     read.
     """
-    cells = _by_cell(runs)
     settings: dict[str, Mapping[str, str]] = {}
-    for cell, members in cells.items():
+    for cell, members in _grouped(runs, lambda run: run.cell).items():
         with suppress(HeadwayError):
             settings[cell] = _choice(members).parameters
-    alike: dict[tuple[str, ...], set[str]] = defaultdict(set)
-    for run in runs:
-        if run.cell in settings:
-            alike[run.study, run.environment, run.algorithm, run.preset].add(run.cell)
+    known = [run for run in runs if run.cell in settings]
+    alike = _grouped(known, lambda run: (run.study, run.environment, run.algorithm, run.preset))
     varied: dict[str, None] = {}
-    for keys in alike.values():
-        names = {name: None for key in sorted(keys) for name in settings[key]}
+    for members in alike.values():
+        keys = sorted({run.cell for run in members})
+        names = {name: None for key in keys for name in settings[key]}
         varied |= {name: None for name in names if len({settings[key].get(name) for key in keys}) > 1}
     return [name for name in varied if "." in name and name != _POLICIES], settings
 
@@ -148,24 +145,28 @@ def _unique_names(
     controller.
     """
     settings = {key: _settings_of(cell.parameters, of_task) for key, cell in cells.items()}
-    groups: dict[tuple[str, ...], list[str]] = defaultdict(list)
-    for key, kind in kinds.items():
-        groups[kind].append(key)
+    groups = _grouped(kinds, lambda key: kinds[key])
     # An algorithm that needs its preset in the name on one task shows it on all tasks.
     by_preset = {kind[0] for kind, keys in groups.items() if _presets_differ(keys, cells, settings)}
     by_candidate = set() if of_task else _with_candidates(kinds, cells)
+
+    def chosen(key: str) -> str:
+        name, cell = kinds[key][0], cells[key]
+        preset = " without preset" if cell.preset == NO_PRESET else f" {cell.preset}".rstrip()
+        candidate = f": {cell.candidate}" if name in by_candidate else ""
+        return f"{name}{preset if name in by_preset else ''}{candidate}"
+
+    def policies(key: str) -> str:
+        return f", {settings[key].get(_POLICIES, 'without ' + _POLICIES)}"
+
     names: dict[str, str] = {}
-    for kind, keys in groups.items():
-        named: dict[str, list[str]] = defaultdict(list)
-        for preset, preset_keys in _by_preset(keys, cells, kind[0] in by_preset).items():
-            for key in preset_keys:
-                candidate = f": {cells[key].candidate}" if kind[0] in by_candidate else ""
-                named[f"{kind[0]}{preset}{candidate}"].append(key)
-        for name, named_keys in named.items():
-            for policies, members in _by_policies(named_keys, settings).items():
+    for of_kind in groups.values():
+        for name, keys in _grouped(of_kind, chosen).items():
+            by_policies = _grouped(keys, policies)
+            for shared, members in by_policies.items() if len(by_policies) > 1 else [("", keys)]:
                 own = _shown_settings([settings[key] for key in members])
                 names |= {
-                    key: ", ".join((f"{name}{policies}", *differing))
+                    key: ", ".join((f"{name}{shared}", *differing))
                     for key, differing in zip(members, own, strict=True)
                 }
     return names
@@ -173,41 +174,19 @@ def _unique_names(
 
 def _with_candidates(kinds: Mapping[str, tuple[str, ...]], cells: Mapping[str, CellChoice]) -> set[str]:
     """Return the algorithms whose cells, on all tasks, belong to at least two candidates of a search."""
-    candidates: dict[str, set[str]] = defaultdict(set)
-    for key, kind in kinds.items():
-        candidates[kind[0]].add(cells[key].candidate)
-    return {first for first, names in candidates.items() if len(names) > 1 and "" not in names}
+    by_name = _grouped(kinds, lambda key: kinds[key][0])
+    candidates = {name: {cells[key].candidate for key in keys} for name, keys in by_name.items()}
+    return {name for name, found in candidates.items() if len(found) > 1 and "" not in found}
 
 
 def _presets_differ(
     keys: Sequence[str], cells: Mapping[str, CellChoice], settings: Mapping[str, Mapping[str, str]]
 ) -> bool:
     """Return whether the presets are all known, at least two, and no two of them have the same settings."""
-    owners: dict[tuple[tuple[str, str], ...], set[str]] = defaultdict(set)
-    for key in keys:
-        owners[tuple(sorted(settings[key].items()))].add(cells[key].preset)
+    alike = _grouped(keys, lambda key: tuple(sorted(settings[key].items())))
     presets = {cells[key].preset for key in keys}
-    return "" not in presets and len(presets) > 1 and all(len(names) == 1 for names in owners.values())
-
-
-def _by_preset(keys: Sequence[str], cells: Mapping[str, CellChoice], named: bool) -> dict[str, list[str]]:
-    """Group cells by the part of the name that shows their preset; the part is empty unless `named`."""
-    if not named:
-        return {"": list(keys)}
-    groups: dict[str, list[str]] = defaultdict(list)
-    for key in keys:
-        preset = cells[key].preset
-        known = " without preset" if preset == NO_PRESET else f" {preset}"
-        groups[known if preset else ""].append(key)
-    return groups
-
-
-def _by_policies(keys: Sequence[str], settings: Mapping[str, Mapping[str, str]]) -> dict[str, list[str]]:
-    """Group cells by the part of the name that shows their policies, empty if all have the same."""
-    groups: dict[str, list[str]] = defaultdict(list)
-    for key in keys:
-        groups[f", {settings[key].get(_POLICIES, 'without ' + _POLICIES)}"].append(key)
-    return groups if len(groups) > 1 else {"": list(keys)}
+    owners = [{cells[key].preset for key in members} for members in alike.values()]
+    return "" not in presets and len(presets) > 1 and all(len(names) == 1 for names in owners)
 
 
 def _shown_settings(cells: Sequence[Mapping[str, str]]) -> list[Sequence[str]]:

@@ -145,30 +145,17 @@ def folder_stamp(folder: Path) -> str:
 
 def _row(folder: Path) -> RunRow:
     record, summary = RunRecord.read(folder), read_summary(folder)
-    return RunRow(
-        study=record.study,
-        environment=record.environment,
-        algorithm=record.algorithm,
-        policies=record.policies,
-        preset=record.preset,
-        cell=record.cell,
-        seed=record.seed,
-        status=record.status,
-        iterations=record.durable_iteration,
-        env_steps=record.durable_env_steps,
-        final_reward=summary.get("final_reward"),
-        auc=summary.get("auc"),
-        cpu_seconds=summary.get("cpu_seconds"),
-        kwh=summary.get("kwh"),
-        kg_co2=summary.get("kg_co2"),
-        started=record.started,
-        duration_s=record.duration_s,
-        run_id=record.run_id,
-        directory=str(folder),
-        host=record.session.host,
-        pid=record.session.pid,
-        created=record.session.created,
-    )
+    values: dict[str, Any] = {
+        **dict.fromkeys(_COLUMNS),
+        **summary,
+        **vars(record),
+        **vars(record.session),
+        "cell": record.cell,
+        "iterations": record.durable_iteration,
+        "env_steps": record.durable_env_steps,
+        "directory": str(folder),
+    }
+    return RunRow(**{name: values[name] for name in _COLUMNS})
 
 
 def _settled(row: RunRow) -> RunRow:

@@ -18,7 +18,6 @@ from headway_launch.commands.main import run
 from headway_launch.console.progress_display import Progress
 from headway_launch.runner.jobs import CellPlan
 from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
-from headway_launch.studies.plan import StudyProgress
 
 TINY = ("env=trivial", "algo=ippo", *SMALL, "env.args.agents=2", "env.args.steps=20")
 
@@ -123,9 +122,8 @@ def test_a_dry_run_estimates_what_is_left(
     end_as(_stored(tmp_path / "runs", 0, 0).directory)
     estimated: list[tuple[int, ...]] = []
 
-    def note(progress: Sequence[StudyProgress], cells: Sequence[CellPlan]) -> int:
+    def note(cells: Sequence[CellPlan]) -> int:
         estimated.extend(job.seeds for cell in cells for job in cell.jobs)
-        assert [each.experiment for each in progress] == [cell.experiment for cell in cells]
         return 0
 
     monkeypatch.setattr("headway_launch.studies.dry_run.print_estimate", note)

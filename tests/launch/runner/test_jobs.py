@@ -428,7 +428,7 @@ def test_each_stage_has_its_environment_and_their_sum_is_the_budget() -> None:
     assert [(config.density, config.reward.scope) for config in configs] == [(1, "own"), (3, "own")]
     assert [plan.prepared.config.reward.scope for plan in plans] == ["global", "global"]
     assert [plan.stage for plan in plans] == [0, 1]
-    assert all(plan.spec == job.spec for plan in plans)
+    assert all(plan.spec == job.training.spec for plan in plans)
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_a_run_of_an_earlier_version_acts_in_the_units_it_was_trained_in() -> No
     end_as(stored.directory, "KILLED", durable_iteration=3)
     (stored.directory / CHECKPOINTS / "checkpoint-000004.pt").unlink()
     [[job]] = jobs_to_resume([StoredRun.read(Path("runs"), stored.directory)])
-    assert job.spec == environment.spec
+    assert job.training.spec == environment.spec
     assert run(["resume", stored.record.run_id]) == 0
     assert _returns(stored) == returns
 

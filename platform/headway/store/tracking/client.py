@@ -154,7 +154,7 @@ class Tracker:
             Metric(point.metric, point.value, zero + round(1000 * point.wall_s), point.step)
             for point in points
         ]
-        self._metrics(child, metrics)
+        self._log(child, "metrics", metrics, _BATCH)
 
     def sent_steps(self, child: str) -> dict[str, frozenset[int]]:
         """Return, by metric, the steps that MLflow already has of the run `child`."""
@@ -178,7 +178,7 @@ class Tracker:
             for name, value in summary.items()
             if known.get(f"summary/{name}") != value
         ]
-        self._metrics(run, metrics)
+        self._log(run, "metrics", metrics, _BATCH)
         for file in files:
             self._ask("log_artifact", run, str(file))
         if metrics or files or found.info.status != status:
@@ -210,16 +210,15 @@ class Tracker:
         location = (self.root / "mlflow-artifacts").as_uri() if self.local else None
         return str(self._ask("create_experiment", study, artifact_location=location, tags=_VIEW_TAGS))
 
-    def _metrics(self, run: str, metrics: list[Any]) -> None:
-        for first in range(0, len(metrics), _BATCH):
-            self._ask("log_batch", run, metrics=metrics[first : first + _BATCH])
+    def _log(self, run: str, kind: str, entries: list[Any], most: int) -> None:
+        for first in range(0, len(entries), most):
+            self._ask("log_batch", run, **{kind: entries[first : first + most]})
 
     def _parameters(self, run: str, parameters: Mapping[str, str]) -> None:
         from mlflow.entities import Param
 
         params = [Param(name, value) for name, value in _truncated(parameters).items()]
-        for first in range(0, len(params), _PARAMETERS):
-            self._ask("log_batch", run, params=params[first : first + _PARAMETERS])
+        self._log(run, "params", params, _PARAMETERS)
 
     @contextmanager
     def _locked(self, purpose: str) -> Iterator[None]:
