@@ -9,7 +9,7 @@ from pathlib import Path
 import psutil
 
 from benchmarks import kernel
-from benchmarks.measurement import first_part, measure
+from benchmarks.measurement import Task, measure
 from headway_launch.experiments.compose import compose
 
 EXPERIMENT = "bus_city"
@@ -23,7 +23,7 @@ def report() -> None:
     kernel.report_rates({"city": 2})
     experiment = compose([f"experiment={EXPERIMENT}"])
     env_steps = ITERATIONS * experiment.config.rollout.copies * experiment.config.rollout.steps
-    trained = measure([first_part(experiment, env_steps)])[0]
+    trained = measure([Task((f"experiment={EXPERIMENT}", "seed=0"), env_steps)])[0]
     minutes = experiment.config.env_steps / trained.per_cpu_second / 60.0
     print(f"\n## Training the city: one seed of {EXPERIMENT}\n")
     print("| steps/CPU s | budget, steps | CPU minutes, without evaluations |")

@@ -9,17 +9,16 @@ import resource
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measurement import Task, first_part, measure
+from benchmarks.measurement import Task, measure
 from headway.contracts import BatchedEnv, Observations, child_seeds
 from headway.registry import env_entry
 from headway_launch.experiments.compose import compose
-from headway_launch.runner.jobs import within_processes
 
 PAPER: Mapping[str, Any] = {
     "observation": "paper",
@@ -267,12 +266,14 @@ def _report_training() -> None:
     )
     print("|---|---|---:|---:|---:|---:|---:|")
     for experiment, algo in TRAININGS:
-        task, budget = _training(experiment, algo)
-        alone = measure([_training(experiment, algo, alone=True)[0]])[0]
+        words = (f"experiment={experiment}", f"algo={algo}")
+        config = compose(words).config
+        budget, seeds = config.env_steps, config.seed[: config.backend.stack]
+        alone = measure([Task((*words, "seed=0", "backend.stack=1"), TRAINED_STEPS)])[0]
         stacked = ""
-        if task.stack > 1:
-            together = measure([task])[0]
-            stacked = f"{budget / together.per_cpu_second / 60.0:.1f} (of {task.stack})"
+        if len(seeds) > 1:
+            together = measure([Task((*words, f"seed={','.join(map(str, seeds))}"), TRAINED_STEPS)])[0]
+            stacked = f"{budget / together.per_cpu_second / 60.0:.1f} (of {len(seeds)})"
         print(
             f"| {experiment} | {algo} | {alone.per_cpu_second:,.0f} | {budget:,} "
             f"| {budget / alone.per_cpu_second / 60.0:.1f} | {stacked} | {alone.worker_mb:.0f} |",
@@ -282,16 +283,3 @@ def _report_training() -> None:
         f"\nMeasured over {TRAINED_STEPS:,} environment steps (in intersection_study: actions of ten SUMO "
         "steps each); policies learned later may change the amount of traffic."
     )
-
-
-def _training(experiment: str, algo: str, alone: bool = False) -> tuple[Task, int]:
-    """Return the first part of a training as a task, and its total budget in steps; `alone`: one seed
-    only."""
-    words = [f"experiment={experiment}", f"algo={algo}", *(["backend.stack=1"] if alone else [])]
-    composed = compose(words)
-    config = within_processes(composed.config, composed.prepare().spec)
-    workers, stack = config.backend.workers or 1, min(config.backend.stack, len(config.seed))
-    task = replace(
-        first_part(composed, TRAINED_STEPS), block=config.rollout.block, workers=workers, stack=stack
-    )
-    return task, config.env_steps

@@ -6,8 +6,8 @@ The task is that of `training`: IPPO with one policy for each of ten agents, so 
 
 from dataclasses import replace
 
-from benchmarks.measurement import WARM_UP, measure
-from benchmarks.training import BASE
+from benchmarks.measurement import measure
+from benchmarks.training import BASE, ITERATION_STEPS
 
 UPDATES = 3
 """Counted updates of each training."""
@@ -28,14 +28,11 @@ def report() -> None:
     print("| seeds | hidden layers | one CPU core, s | GPU, s | CPU / GPU |")
     print("|---:|---|---:|---:|---:|")
     for stack, width in CASES:
-        task = replace(
-            BASE,
-            algo_args={**BASE.algo_args, "model": {"hidden": [width, width]}},
-            stack=stack,
-            iterations=WARM_UP + UPDATES,
-        )
+        seeds = ",".join(map(str, range(stack)))
+        words = (f"algo.model.hidden=[{width},{width}]", f"seed={seeds}", f"backend.stack={stack}")
+        task = replace(BASE.having(*words), env_steps=UPDATES * ITERATION_STEPS)
         on_cpu, on_gpu = (
-            measure([replace(task, device=device)])[0].learn_s / UPDATES for device in ("cpu", "cuda")
+            measure([task.having(f"device={device}")])[0].learn_s / UPDATES for device in ("cpu", "cuda")
         )
         print(
             f"| {stack} | {width}-{width} | {on_cpu:.2f} | {on_gpu:.2f} | {on_cpu / on_gpu:.1f} |", flush=True

@@ -6,20 +6,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from headway.adapters.pettingzoo import AdapterOptions, ParallelEnvBatch
-from headway.config.experiment import BackendConfig, EvaluationConfig, ExperimentConfig, RolloutConfig
-from headway.config.schema import build, plain
 from headway.events import Event, IterationFinished, Started
-from headway.registry import algo_entry, env_entry
+from headway.registry import env_entry
 
 if TYPE_CHECKING:
-    from headway_launch.experiments.compose import Experiment
+    from headway_launch.runner.jobs import PlannedJob
 
 WARM_UP = 2
 """Number of first iterations left out, in which kernels are loaded and memory is first used."""
@@ -27,25 +24,33 @@ WARM_UP = 2
 
 @dataclass(frozen=True)
 class Task:
-    """A training to measure."""
+    """A training to measure, without evaluations."""
 
-    env: str
-    algo: str
-    env_args: Mapping[str, Any]
-    algo_args: Mapping[str, Any]
-    copies: int
-    steps: int
-    block: int
-    iterations: int
+    words: tuple[str, ...]
+    """Overrides, as `headway run` takes them; the seeds must form one stack."""
+    env_steps: int
+    """Environment steps of the counted iterations, per seed."""
     dict_based: bool = False
     """True: step the ParallelEnv through the adapter instead of the native batch."""
-    backend: str = "serial"
-    workers: int = 1
-    seed: int = 0
-    stack: int = 1
-    """Number of seeds trained together, from `seed` on."""
-    device: str = "cpu"
-    """Where the learner computes."""
+
+    def having(self, *words: str) -> "Task":
+        """Return the task with further words, in place of those of the same keys."""
+        keys = {word.partition("=")[0] for word in words}
+        kept = (word for word in self.words if word.partition("=")[0] not in keys)
+        return replace(self, words=(*kept, *words))
+
+    def planned(self) -> "PlannedJob":
+        """Return the job. Raises HeadwayError for words that do not describe one."""
+        from headway_launch.experiments.compose import compose
+        from headway_launch.runner.jobs import plan_jobs
+
+        once = ("evaluation.episodes=1", "evaluation.final_episodes=1", "evaluation.modes=[greedy]")
+        experiment = compose([*self.words, *once, "evaluation.every=1_000_000_000", "evaluation.rules=[]"])
+        config = experiment.config
+        iteration_steps = config.rollout.copies * config.rollout.steps
+        iterations = -(-self.env_steps // iteration_steps) + WARM_UP
+        [job] = plan_jobs(replace(experiment, config=replace(config, env_steps=iterations * iteration_steps)))
+        return job
 
 
 @dataclass(frozen=True)
@@ -75,22 +80,6 @@ class Measurement:
     def collected_per_second(self) -> float:
         """Environment steps per second of collection."""
         return self.env_steps / self.collect_s
-
-
-def first_part(experiment: "Experiment", env_steps: int) -> Task:
-    """Return the first `env_steps` counted steps of an experiment's training, with worker processes."""
-    rollout = experiment.config.rollout
-    return Task(
-        env=experiment.config.env.id,
-        algo=experiment.algo_name,
-        env_args=plain(experiment.training_env_config),
-        algo_args=plain(experiment.algo_config),
-        copies=rollout.copies,
-        steps=rollout.steps,
-        block=rollout.block,
-        iterations=-(-env_steps // (rollout.copies * rollout.steps)) + WARM_UP,
-        backend="process",
-    )
 
 
 class DictBased:
@@ -126,20 +115,15 @@ def measure(tasks: Sequence[Task]) -> list[Measurement]:
 
 def measure_here(task: Task) -> Measurement:
     """Run a task in this process."""
-    from headway.rollout.plan import RolloutPlan
-    from headway.training.loop import TrainingJob, train
+    from headway.training.loop import train
+    from headway_launch.runner.cores import CoreShares, workers_of
 
-    entry, algo = env_entry(task.env), algo_entry(task.algo)
-    prepared = entry.prepare(build(entry.config, task.env_args))
-    seeds = tuple(range(task.seed, task.seed + task.stack))
-    make = DictBased(task.env) if task.dict_based else entry.make
-    config = ExperimentConfig(
-        env_steps=task.copies * task.steps * task.iterations,
-        device=task.device,
-        rollout=RolloutConfig(task.copies, task.steps, task.block),
-        backend=build(BackendConfig, {"name": task.backend}),
-        evaluation=EvaluationConfig(episodes=1, final_episodes=1, every=10**6, modes=("greedy",)),
-    )
+    planned = task.planned()
+    job, rollout = planned.training, planned.config.rollout
+    if task.dict_based:
+        make = DictBased(planned.config.env.id)
+        spec = make(job.plan.prepared, 1).spec.for_policies
+        job = replace(job, plan=replace(job.plan, make_env=make, spec=spec))
     records: list[tuple[float, float, float, float]] = []
     worker_ids: list[int] = []
     peak_mb = 0.0
@@ -153,25 +137,12 @@ def measure_here(task: Task) -> Measurement:
             records.append((time.monotonic(), event.usage.cpu_seconds, event.collect_s, event.learn_s))
 
     with tempfile.TemporaryDirectory() as folder:
-        algo_config: Any = build(algo.record_for(task.algo_args), task.algo_args)
-        spec = make(prepared, 1).spec.for_policies
-        policy = algo.acting_policy(algo_config, spec)
-        preload = (*entry.preload, *algo.kernels, *algo.preload)
-        contributor = algo.contributor and partial(algo.contributor, algo_config, spec, seeds)
-        job = TrainingJob(
-            RolloutPlan.of(
-                config.rollout, make, preload, prepared, spec, policy, seeds, make_contributor=contributor
-            ),
-            algo.learner,
-            algo_config,
-            config,
-            task.workers,
-            directories=tuple(str(Path(folder, str(seed))) for seed in seeds),
-        )
-        train(job, record, lambda: False)
+        folders = tuple(str(Path(folder, str(seed))) for seed in job.seeds)
+        workers = workers_of(planned, CoreShares(parallel=1, workers=1))
+        train(replace(job, workers=workers, directories=folders), record, lambda: False)
     counted = records[WARM_UP:]
     return Measurement(
-        env_steps=task.copies * task.steps * len(counted) * task.stack,
+        env_steps=rollout.copies * rollout.steps * len(counted) * len(job.seeds),
         wall_s=counted[-1][0] - records[WARM_UP - 1][0],
         cpu_s=counted[-1][1] - records[WARM_UP - 1][1],
         collect_s=sum(mark[2] for mark in counted),

@@ -5,10 +5,9 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from benchmarks.measurement import first_part, measure
+from benchmarks.measurement import Task, measure
 from headway.contracts import BatchedEnv, child_seeds
 from headway.registry import env_entry
-from headway_launch.experiments.compose import compose
 
 COPIES = 256
 STEPS = 400
@@ -82,8 +81,8 @@ def _report_training() -> None:
     print(f"| algorithm | environment steps/s | steps/CPU s | episodes/s | {EPISODES:,} episodes, minutes |")
     print("|---|---:|---:|---:|---:|")
     for algo in ("mappo", "maacktr", "madqn"):
-        experiment = compose(["experiment=merge_study", f"algo={algo}"])
-        result = measure([first_part(experiment, TRAINED_STEPS)])[0]
+        words = ("experiment=merge_study", f"algo={algo}", "seed=0")
+        result = measure([Task(words, TRAINED_STEPS)])[0]
         episodes = result.per_second / EPISODE_STEPS
         print(
             f"| {algo} | {result.per_second:,.0f} | {result.per_cpu_second:,.0f} | {episodes:,.0f} "

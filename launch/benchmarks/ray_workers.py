@@ -11,18 +11,16 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measurement import Task
-from benchmarks.training import BASE, interleaved
+from benchmarks.training import BASE, ITERATION_STEPS, bus_line, interleaved
 from headway.config.experiment import BackendConfig
-from headway.config.schema import build
-from headway.registry import algo_entry, env_entry
-from headway.rollout.plan import RolloutPlan
 from headway.rollout.pool_collector import PoolCollector
 
+_ON_TWO = ("backend=process", "backend.workers=2")
+_TRIVIAL = BASE.having(*_ON_TWO, "rollout.block=10")
 TASKS = {
-    "batched trivial, 20 copies": replace(BASE, block=10, workers=2),
-    "dict-based trivial, 20 copies": replace(BASE, block=10, workers=2, dict_based=True),
-    "bus line, 32 copies": replace(BASE, env="bus", copies=32, steps=125, block=4, workers=2, iterations=8),
+    "batched trivial, 20 copies": _TRIVIAL,
+    "dict-based trivial, 20 copies": replace(_TRIVIAL, dict_based=True),
+    "bus line, 32 copies": bus_line(32, 125).having(*_ON_TWO),
 }
 """Tasks by name, each with 4,000 environment steps per iteration."""
 _REPEATS = 50
@@ -41,13 +39,14 @@ def report() -> None:
           "| Ray, steps/s: 1 worker | 2 workers |")  # fmt: skip
     print(f"|---|{'---:|' * 8}")
     for name, task in TASKS.items():
-        on_ray = replace(task, backend="ray")
-        process, two, one = interleaved(
-            [replace(task, backend="process"), on_ray, replace(on_ray, workers=1)]
-        )
-        steps, cells = task.copies * task.steps, []
+        on_ray = task.having("backend=ray")
+        process, two, one = interleaved([task, on_ray, on_ray.having("backend.workers=1")])
+        cells = []
         for rate in ("per_second", "per_cpu_second"):
-            a, b = (median(steps / getattr(each, rate) for each in results) for results in (process, two))
+            a, b = (
+                median(ITERATION_STEPS / getattr(each, rate) for each in results)
+                for results in (process, two)
+            )
             cells += [f"{a:.3f}", f"{b:.3f}", f"{b / a - 1:.0%}"]
         cells += [f"{median(each.per_second for each in results):,.0f}" for results in (one, two)]
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
@@ -66,17 +65,17 @@ def _report_transfer() -> None:
         for name, task in TASKS.items():
             if task.dict_based:
                 continue
-            plan = _plan_of(task)
+            plan = task.planned().training.plan
             shapes = plan.policy.parameter_shapes(plan.replicas)
             parameters = {key: np.zeros(shape, dtype) for key, (shape, dtype) in shapes.items()}
-            shards = plan.shards(task.workers)
+            shards = plan.shards(2)
             launcher = SamplingRayLauncher(BackendConfig("ray"), plan, shards, print)
             collector = PoolCollector(plan, launcher, len(shards), print)
             try:
                 collector.begin()
                 collector.collect(1, parameters)
                 experience = experience_of(collector.trajectory).values()
-                sent = sum(array.nbytes for array in experience) / (task.copies * task.steps)
+                sent = sum(array.nbytes for array in experience) / ITERATION_STEPS
                 put = _median_ms(partial(launcher.publish, parameters))
                 collected = _median_ms(partial(collector.collect, 2, parameters))
             finally:
@@ -105,16 +104,6 @@ def _report_messages() -> None:
     ray.kill(actor)
     print("\n| call with a small answer, ms | each further MB of an answer, ms |\n|---:|---:|")
     print(f"| {small:.2f} | {(large - small) / (_LARGE / 1e6):.2f} |", flush=True)
-
-
-def _plan_of(task: Task) -> RolloutPlan:
-    entry, algo = env_entry(task.env), algo_entry(task.algo)
-    prepared = entry.prepare(build(entry.config, task.env_args))
-    spec = entry.make(prepared, 1).spec
-    policy = algo.acting_policy(build(algo.record_for(task.algo_args), task.algo_args), spec)
-    return RolloutPlan(
-        entry.make, entry.preload, prepared, spec, policy, (task.seed,), task.copies, task.steps, task.block
-    )
 
 
 def _median_ms(act: Callable[[], object]) -> float:

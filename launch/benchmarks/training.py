@@ -28,18 +28,17 @@ PEERS = (
 """(name, environment steps per second, per CPU second) with independent policies, measured once on two cores
 like those of the development machine; this command does not repeat it."""
 
+ITERATION_STEPS, EPOCHS = 4_000, 5
 BASE = Task(
-    env="trivial",
-    algo="ippo",
-    env_args={},
-    algo_args={"policies": "independent", "epochs": 5, "minibatches": 8},
-    copies=20,
-    steps=200,
-    block=20,
-    iterations=12,
-)
+    (
+        "env=trivial", "algo=ippo", "preset=none", "backend=serial", "algo.policies=independent",
+        f"algo.epochs={EPOCHS}", "algo.minibatches=8", "rollout.copies=20", "rollout.steps=200",
+        "rollout.block=20", "seed=0",
+    ),
+    env_steps=10 * ITERATION_STEPS,
+)  # fmt: skip
 
-ELSEWHERE = {"ddpg": ("tracking", {"agents": 10, "steps": 200})}
+ELSEWHERE = {"ddpg": ("env=tracking", "env.args.agents=10", "env.args.steps=200")}
 """Environments of algorithms that do not support Discrete actions."""
 
 ROUNDS = 3
@@ -71,15 +70,14 @@ def report() -> None:
         for policies in ("independent", "shared")
     ]
     tasks = [
-        replace(BASE, algo=algo, dict_based=dict_based, algo_args={**BASE.algo_args, "policies": policies})
+        replace(BASE.having(f"algo={algo}", f"algo.policies={policies}"), dict_based=dict_based)
         for dict_based, algo, policies in rows
     ]
     others = sorted(set(ENTRIES) - {"custom", *(algo for _, algo, _ in rows)})
     rows += [(False, algo, "independent") for algo in others]
-    for algo in others:
-        env, env_args = ELSEWHERE.get(algo, (BASE.env, BASE.env_args))
-        task = replace(BASE, env=env, env_args=env_args, algo=algo, algo_args={"policies": "independent"})
-        tasks.append(task)
+    of_ppo = (f"algo.epochs={EPOCHS}", "algo.minibatches=8")
+    usual = replace(BASE, words=tuple(word for word in BASE.words if word not in of_ppo))
+    tasks += [usual.having(f"algo={algo}", *ELSEWHERE.get(algo, ())) for algo in others]
     for (dict_based, algo, policies), results in zip(rows, interleaved(tasks), strict=True):
         form = "dict" if dict_based else f"batched{', tracking' * (algo in ELSEWHERE)}"
         print(
@@ -98,6 +96,12 @@ def interleaved(tasks: Sequence[Task]) -> list[list[Measurement]]:
     """Return `ROUNDS` measurements of each task, made in the order A B C A B C ..."""
     rounds = [[measure([task])[0] for task in tasks] for _ in range(ROUNDS)]
     return [list(results) for results in zip(*rounds, strict=True)]
+
+
+def bus_line(copies: int, steps: int) -> Task:
+    """Return six counted iterations of the base task on the bus line."""
+    sizes = (f"rollout.copies={copies}", f"rollout.steps={steps}", "rollout.block=4")
+    return replace(BASE.having("env=bus", *sizes), env_steps=6 * copies * steps)
 
 
 def flops(epochs: int) -> int:
@@ -133,11 +137,11 @@ def _report_products() -> None:
     limits, shares = [], []
     for _ in range(ROUNDS):
         limits.append(sgemm())
-        shares.append(flops(BASE.algo_args["epochs"]) * measure([BASE])[0].per_cpu_second / limits[-1])
+        shares.append(flops(EPOCHS) * measure([BASE])[0].per_cpu_second / limits[-1])
     print(
         f"\nThe machine's matrix products (float32, 64 x 64 by 64 x 256, one thread): "
         f"{median(limits) / 1e9:.0f} GFLOP/s. Products alone would let IPPO (batched, independent) train at "
-        f"{median(limits) / flops(BASE.algo_args['epochs']):,.0f} steps/CPU s, of which it reaches "
+        f"{median(limits) / flops(EPOCHS):,.0f} steps/CPU s, of which it reaches "
         f"{median(shares):.0%}.",
         flush=True,
     )
@@ -147,7 +151,7 @@ def _report_two_seeds() -> None:
     ratios, totals = [], []
     for _ in range(ROUNDS):
         alone = measure([BASE])[0]
-        pair = measure([replace(BASE, seed=seed) for seed in (0, 1)])
+        pair = measure([BASE.having(f"seed={seed}") for seed in (0, 1)])
         totals.append(sum(result.per_second for result in pair))
         ratios.append(totals[-1] / alone.per_second)
     print("Two seeds in two processes (ippo, batched, independent):", end=" ")
@@ -157,11 +161,11 @@ def _report_two_seeds() -> None:
 def _report_workers() -> None:
     """Print the speed-up of rollouts by a second worker, on environments expensive enough to need one."""
     for label, task in (
-        ("dict-based trivial, 20 copies", replace(BASE, dict_based=True, block=10)),
-        ("bus line, 8 copies", replace(BASE, env="bus", copies=8, steps=285, block=4, iterations=8)),
-        ("bus line, 32 copies", replace(BASE, env="bus", copies=32, steps=143, block=4, iterations=8)),
+        ("dict-based trivial, 20 copies", replace(BASE.having("rollout.block=10"), dict_based=True)),
+        ("bus line, 8 copies", bus_line(8, 285)),
+        ("bus line, 32 copies", bus_line(32, 143)),
     ):
-        pairs = [replace(task, backend="process", workers=workers) for workers in (1, 2)]
+        pairs = [task.having("backend=process", f"backend.workers={workers}") for workers in (1, 2)]
         one, two = interleaved(pairs)
         ratio = median(b.collected_per_second / a.collected_per_second for a, b in zip(one, two, strict=True))
         print(

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
 
 import psutil
 import pytest
@@ -16,6 +15,8 @@ from headway.rollout.collector import Contributors
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.workers.worker_pool import Notify
 
+SIZES = ("backend=serial", "rollout.copies=4", "rollout.steps=8", "rollout.block=2")
+
 
 def test_asynchronous_algorithms_are_measured_with_their_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[Contributors] = []
@@ -26,7 +27,7 @@ def test_asynchronous_algorithms_are_measured_with_their_workers(monkeypatch: py
         return opened[-1]
 
     monkeypatch.setattr(headway.training.loop, "open_contributors", opening)
-    task = Task("trivial", "a3c", {}, {}, copies=4, steps=8, block=2, iterations=4)
+    task = Task(("env=trivial", "algo=a3c", *SIZES), 2 * 4 * 8)
     assert measure_here(task).env_steps == 2 * 4 * 8
     (contributors,) = opened
     assert contributors.number == 2
@@ -34,7 +35,7 @@ def test_asynchronous_algorithms_are_measured_with_their_workers(monkeypatch: py
 
 def test_memory_is_that_of_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is 0 for a training in one process."""
-    task = Task("trivial", "ippo", {}, {}, copies=4, steps=8, block=2, iterations=4)
+    task = Task(("env=trivial", "algo=ippo", *SIZES), 2 * 4 * 8)
     assert measure_here(task).worker_mb == 0
     asked: list[int] = []
 
@@ -43,7 +44,7 @@ def test_memory_is_that_of_workers(monkeypatch: pytest.MonkeyPatch) -> None:
         return _peak_mb(process_id)
 
     monkeypatch.setattr(measurement, "_peak_mb", peak_mb)
-    found = measure_here(replace(task, backend="process", workers=2)).worker_mb
+    found = measure_here(task.having("backend=process", "backend.workers=2")).worker_mb
     assert 5 < found < 2000
     assert len(set(asked)) == 2
     assert os.getpid() not in asked
