@@ -13,7 +13,6 @@ from benchmarks import (
     merge,
     ray_workers,
     store,
-    table3,
     training,
 )
 
@@ -26,7 +25,6 @@ REPORTS = {
     "crossing": crossing.report,
     "lightness": lightness.report,
     "store": store.report,
-    "table3": table3.report,
     "gpu": gpu.report,
     "ray": ray_workers.report,
 }

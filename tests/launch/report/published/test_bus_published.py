@@ -4,13 +4,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from covering import quick_or_slow
 from sections import section_of, tables, words
 
+from headway_launch.experiments.compose import compose
 from headway_launch.report.elements import Section
 from headway_launch.report.published.bus_published import bus_published_section
 from headway_launch.report.published.episode_metrics import published_values
 
 TABLE3 = "experiment=bus_table3"
+NINE = ("coma", "happo", "hatrpo", "ia2c", "ippo", "itrpo", "maa2c", "mappo", "matrpo")
 RULES = {"random": -140.0, "always_move": 14.0, "always_wait": -108.0, "move_with_service": 97.0}
 Keep = Callable[..., Path]
 
@@ -21,12 +24,21 @@ def section(root: Path) -> Section:
 
 def test_all_nine_algorithms_have_published_values() -> None:
     published = published_values("bus_published")
-    assert sorted(published.index) == sorted(
-        ["coma", "happo", "hatrpo", "ia2c", "ippo", "itrpo", "maa2c", "mappo", "matrpo"]
-    )
+    assert sorted(published.index) == sorted(NINE)
     assert published.loc["happo", "final_reward"] == -506.84
     assert published.loc["mappo", "auc"] == 0.924
     assert published["kwh"].count() == 4
+
+
+@pytest.mark.parametrize("algorithm", quick_or_slow({name: (name,) for name in NINE}, "mappo", "hatrpo"))
+def test_the_study_has_the_published_settings(algorithm: str) -> None:
+    experiment = compose([TABLE3, f"algo={algorithm}"])
+    config, algo = experiment.config, experiment.algo_config
+    assert (len(config.seed), config.env_steps) == (50, 400_000)
+    assert config.rollout.copies * config.rollout.steps == 1000
+    assert (algo.policies, algo.model.hidden) == ("independent", (128, 128))
+    assert (experiment.env_config.agents, experiment.env_config.reward.scope) == (5, "own")
+    assert len(config.seed) % config.backend.stack == 0
 
 
 def test_training_rewards_are_summed_over_buses_and_ranked(keep_run: Keep, root: Path) -> None:
