@@ -11,7 +11,7 @@ from headway.config.schema import nearest
 from headway.contracts.errors import HeadwayError
 from headway.wording import counted
 from headway_launch.commands.arguments import add_config_dir_argument, add_store_argument, existing_store
-from headway_launch.console.output_files import require_writable, write_error
+from headway_launch.console.output_files import require_writable
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
@@ -105,12 +105,9 @@ def execute(arguments: argparse.Namespace) -> int:
     caption = f"{player.name}: evaluation episode {arguments.episode} of seed {root}"
     with closing(_frames(player, root, arguments.episode, caption)) as frames:
         if output.suffix == ".png":
-            moment = _picture_at(frames, arguments.step)
-            _make_folder(arguments, output)
-            write_picture(moment, output, caption)
+            write_picture(_picture_at(frames, arguments.step), output, caption)
         else:
             packed = [PackedFrame.of(frame) for frame in frames]
-            _make_folder(arguments, output)
             write = write_mp4 if output.suffix == ".mp4" else write_film
             fps = 25.0 if len(packed) > _LONG_STEPS + 1 else 5.0
             write(packed, output, fps if arguments.fps is None else arguments.fps, caption)
@@ -143,16 +140,6 @@ def _in_run(arguments: argparse.Namespace, output: Path) -> Path:
 
     run = StoredRun.find(existing_store(arguments.store), arguments.name)
     return run.directory / "pictures" / output.name
-
-
-def _make_folder(arguments: argparse.Namespace, output: Path) -> None:
-    """Create the run's folder of pictures for --keep; any other folder must exist."""
-    if not arguments.keep:
-        return
-    try:
-        output.parent.mkdir(exist_ok=True)
-    except OSError as error:
-        raise write_error("--output", output, error) from error
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def require_writable(option: str, path: Path, folder: Path) -> None:
 
 def write_error(option: str, path: Path, error: Exception) -> HeadwayError:
     """Return the error for the file or folder of `option`, which could not be written because of `error`."""
-    reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    reason = (error.strerror if isinstance(error, OSError) else None) or " ".join(str(error).split())
     if isinstance(error, FileNotFoundError) and not path.parent.exists():
         reason = f"there is no folder {path.parent}; create it first"
     return HeadwayError(f"{option}: {path} cannot be written ({reason})")

@@ -1,7 +1,8 @@
 """Frames of an episode with a caption, and their files."""
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
@@ -57,6 +58,16 @@ class PackedFrame:
         return np.frombuffer(zlib.decompress(self.content), np.uint8).reshape(self.shape)
 
 
+@contextmanager
+def _writing(output: Path) -> Iterator[None]:
+    """Create the file's folder if needed. Raises HeadwayError if the file cannot be written."""
+    try:
+        output.parent.mkdir(exist_ok=True)
+        yield
+    except OSError as error:
+        raise write_error("--output", output, error) from error
+
+
 def write_picture(frame: Frame, output: Path, caption: str) -> None:
     """Write a frame as PNG, with the caption as its title. Raises HeadwayError if it cannot be written."""
     from PIL import Image
@@ -64,10 +75,8 @@ def write_picture(frame: Frame, output: Path, caption: str) -> None:
 
     words = PngInfo()
     words.add_text("Title", caption)
-    try:
+    with _writing(output):
         Image.fromarray(frame).save(output, pnginfo=words)
-    except OSError as error:
-        raise write_error("--output", output, error) from error
 
 
 def write_film(frames: Sequence[PackedFrame], output: Path, fps: float, caption: str) -> None:
@@ -79,25 +88,17 @@ def write_film(frames: Sequence[PackedFrame], output: Path, fps: float, caption:
 
     palette = _palette(frames)
     pause = [round(1000.0 / fps)] * (len(frames) - 1) + [2000]
-    try:
-        with CountedProgress("frames written", len(frames)) as written:
+    with _writing(output), CountedProgress("frames written", len(frames)) as written:
 
-            def picture_of(frame: PackedFrame) -> Image.Image:
-                written.add()
-                whole = Image.fromarray(frame.unpacked())
-                return whole.quantize(palette=palette, dither=Image.Dither.NONE)
+        def picture_of(frame: PackedFrame) -> Image.Image:
+            written.add()
+            whole = Image.fromarray(frame.unpacked())
+            return whole.quantize(palette=palette, dither=Image.Dither.NONE)
 
-            pictures = map(picture_of, frames)
-            next(pictures).save(
-                output,
-                save_all=True,
-                append_images=pictures,
-                duration=pause,
-                loop=0,
-                comment=caption.encode(),
-            )
-    except OSError as error:
-        raise write_error("--output", output, error) from error
+        pictures = map(picture_of, frames)
+        next(pictures).save(
+            output, save_all=True, append_images=pictures, duration=pause, loop=0, comment=caption.encode()
+        )
 
 
 def mp4_writer() -> Any:  # noqa: ANN401 - a module
@@ -126,15 +127,12 @@ def write_mp4(frames: Sequence[PackedFrame], output: Path, fps: float, caption: 
         ffmpeg_log_level="error",
         output_params=["-metadata", f"title={caption}"],
     )
-    try:
+    with _writing(output), CountedProgress("frames written", len(frames)) as written:
         video.send(None)
-        with CountedProgress("frames written", len(frames)) as written:
-            for frame in frames:
-                video.send(np.ascontiguousarray(frame.unpacked()[:height, :width]))
-                written.add()
+        for frame in frames:
+            video.send(np.ascontiguousarray(frame.unpacked()[:height, :width]))
+            written.add()
         video.close()
-    except OSError as error:  # with ffmpeg's own lines
-        raise write_error("--output", output, OSError(" ".join(str(error).split()))) from error
 
 
 def _palette(frames: Sequence[PackedFrame]) -> "Image.Image":

@@ -41,7 +41,7 @@ def own_configs(folder: str) -> Iterator[None]:
     """
     path = Path(folder).resolve()
     project = _files(configs_folder())
-    groups = sorted({*_registered(), *project})
+    groups = sorted({*_REGISTERED, *project})
     own = {group: names for group, names in _files(path).items() if group in groups} if path.is_dir() else {}
     if not any(own.values()):
         raise HeadwayError(
@@ -72,27 +72,23 @@ def config_file(group: str, option: str) -> Path:
 
 def _files(folder: Path) -> dict[str, set[str]]:
     """Return the options that files define, by group."""
-    return {
-        group.name: {str(file.relative_to(group).with_suffix("")) for file in group.rglob("*.yaml")}
-        for group in filter(Path.is_dir, folder.iterdir())
-    }
+    return {group.name: _names(group) for group in filter(Path.is_dir, folder.iterdir())}
+
+
+def _names(group: Path) -> set[str]:
+    return {str(file.relative_to(group).with_suffix("")) for file in group.rglob("*.yaml")}
 
 
 def options() -> dict[str, tuple[str, ...]]:
     """Return the options of each group (`env`, `algo`, `experiment`, ...), sorted by name."""
-    names = {group: set(values) for group, values in _registered().items()}
-    for group, files in _files(configs_folder()).items():
-        names[group] = names.get(group, set()) | files
-    if own := own_folder():
-        for group, files in _files(own).items():
-            names.get(group, set()).update(files)
-    return {group: tuple(sorted(names[group])) for group in sorted(names)}
+    groups = {*_REGISTERED, *_files(configs_folder())}
+    return {group: option_names(group) for group in sorted(groups)}
 
 
 def option_names(group: str) -> tuple[str, ...]:
     """Return the options of one group as `options` does, without loading what other groups register."""
-    own = own_folder()
-    found = [_files(folder).get(group, set()) for folder in (configs_folder(), own) if folder]
+    folders = filter(None, (configs_folder(), own_folder()))
+    found = [_names(folder / group) for folder in folders]
     return tuple(sorted({*_REGISTERED.get(group, dict)()}.union(*found)))
 
 

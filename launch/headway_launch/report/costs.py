@@ -6,7 +6,6 @@ from headway_launch.report.elements import (
     Part,
     Picture,
     Section,
-    Table,
     formatted,
     scale_of,
     with_deviation,
@@ -41,7 +40,7 @@ def energy_section(data: StudyData) -> Section:
         labels.append(f"{controller}{data.where(task).replace(' on ', ', ')}")
         rows.append(
             [
-                *([task] if len(data.tasks) > 1 else []),
+                task,
                 controller,
                 str(int(of_cell["runs"])),
                 with_deviation(of_cell["kwh"] * kwh_factor, of_cell["kwh_std"] * kwh_factor),
@@ -68,12 +67,11 @@ def energy_section(data: StudyData) -> Section:
         without = int((~known).sum())
         body.append(f"{counted(without, 'run')} had no measurement and are excluded from these means.")
     body.append(
-        Table(
+        data.table_by_task(
             "energy",
             f"{title} and CPU seconds per run, mean ± standard deviation over seeds, and totals over all "
             "seeds.",
             [
-                *(["environment"] if len(data.tasks) > 1 else []),
                 "controller",
                 "seeds",
                 f"{kwh_unit} per run",
@@ -87,7 +85,6 @@ def energy_section(data: StudyData) -> Section:
             ],
             rows,
             costs.reset_index(),
-            words=frozenset(range(2 if len(data.tasks) > 1 else 1)),
         )
     )
     panels = (["CO2"] if emitted else []) + ["energy by component", "CPU seconds"]

@@ -126,10 +126,7 @@ def episode_metrics_section(data: StudyData) -> Section:
         columns = {name: data.of_controller(task, name) for name in names}
         columns |= {f"rule {rule}": data.of_rule(task, rule) for rule in rules}
         means = pd.DataFrame(
-            {
-                label: {metric: _mean(episodes, metric) for metric in data.metrics}
-                for label, episodes in columns.items()
-            }
+            {label: found.reindex(columns=data.metrics).mean() for label, found in columns.items()}
         ).dropna(how="all")
         where = data.where(task)
         body.append(
@@ -163,10 +160,6 @@ def episode_metrics_section(data: StudyData) -> Section:
             "that begin with `reward_`."
         )
     return Section("episode_metrics", "Episode metrics of the last evaluation", body)
-
-
-def _mean(episodes: pd.DataFrame, metric: str) -> float:
-    return float(episodes[metric].mean()) if metric in episodes else float("nan")
 
 
 def _missing_scale(data: StudyData) -> str:

@@ -35,29 +35,26 @@ def final_reward_section(data: StudyData) -> Section:
     for task in data.tasks:
         for controller, members in data.on(task).items():
             cells, values = _curve_results(data, [row.run_id for row in members])
-            rows.append([*_environment_cell(data, task), controller, str(len(members)), *cells])
+            rows.append([task, controller, str(len(members)), *cells])
             exact.append({"environment": task, "controller": controller, "seeds": len(members), **values})
         of_rules = data.rules_beside_curves.get(task, {})
         for rule, value in ((rule, of_rules[rule]) for rule in data.ranked_rules(task) if rule in of_rules):
             rules.add(len(rows))
             before, after = [MISSING] * 3 * (len(_curves(data)) - 1), [MISSING] * 2
-            rows.append(
-                [*_environment_cell(data, task), f"rule {rule}", MISSING, *before, formatted(value), *after]
-            )
+            rows.append([task, f"rule {rule}", MISSING, *before, formatted(value), *after])
             name = f"{data.mode}_final_reward_mean"
             exact.append({"environment": task, "controller": f"rule {rule}", name: value})
-    headings = [*_environment_heading(data), "controller", "seeds"]
+    headings = ["controller", "seeds"]
     for name in _curves(data):
         label = "reward" if name == "training" else data.metric_with_unit
         headings += [f"{name}: final {label}", f"{name}: AUC, own range", f"{name}: AUC, study's range"]
-    table = Table(
+    table = data.table_by_task(
         "final_rewards",
         f"Final {data.metric_label} and AUC: mean ± standard deviation over seeds (ddof = 1), as in most "
         "papers' tables.",
         headings,
         rows,
         pd.DataFrame(exact),
-        words=_text_columns(data),
         emphasised=frozenset(rules),
     )
     body: list[Part] = [
@@ -191,7 +188,7 @@ def _interquartile_table(data: StudyData) -> Table:
             episodes = data.by_seed(task, str(name), data.column)
             last = float(episodes.to_numpy().mean()) if episodes.size else float("nan")
             iqm = with_interval(found["iqm"], found["iqm_low"], found["iqm_high"])
-            place = [*_environment_cell(data, task), str(name), str(seeds)]
+            place = [task, str(name), str(seeds)]
             rows.append([*place, iqm, formatted(last), *_against(data, against, seeds)])
             learner = {"environment": task, "controller": name, "last_evaluation": last}
             learner |= {str(column): value for column, value in found.items()}
@@ -199,27 +196,21 @@ def _interquartile_table(data: StudyData) -> Table:
         for rule in data.ranked_rules(task):
             against, mean = data.rule_against_best(task, rule), float(data.by_episode(task, rule).mean())
             rules.add(len(rows))
-            place = [*_environment_cell(data, task), f"rule {rule}", MISSING, MISSING]
+            place = [task, f"rule {rule}", MISSING, MISSING]
             rows.append([*place, formatted(mean), *_against(data, against, None)])
             of_rule = {"environment": task, "controller": f"rule {rule}", "last_evaluation": mean}
             exact.append({**of_rule, **_exact(against)})
     names = ["controller", "seeds", f"IQM of final {data.metric_with_unit} [95%]", "last evaluation"]
-    return Table(
+    return data.table_by_task(
         "interquartile_means",
         f"Interquartile mean (IQM) of the final {data.metric_label} with its 95% interval by the "
         f"stratified bootstrap over seeds, evaluated on {_evaluation_episodes(data)}; mean over all "
         "episodes of the last evaluation; and its paired difference from the best rule on those episodes, "
         "with the 95% interval by Student's t.",
-        [
-            *_environment_heading(data),
-            *names,
-            "difference from the best rule [95% interval]",
-            "interval over",
-            "conclusion",
-        ],
+        [*names, "difference from the best rule [95% interval]", "interval over", "conclusion"],
         rows,
         pd.DataFrame(exact),
-        words=_text_columns(data) | {len(_environment_heading(data)) + column for column in (5, 6)},
+        words=(6, 7),
         emphasised=frozenset(rules),
     )
 
@@ -326,32 +317,21 @@ def _starts(data: StudyData) -> list[Part]:
         name = f"{controller}{data.where(task)}"
         lines.append(start_line(name, data.runs.root, folders, data.metric, with_rule=False))
         if found := rule_start(data.runs.root, folders, data.metric):
-            values = [
-                MISSING if value is None else formatted(value) for value in (found.imitated, found.played)
-            ]
-            rows.append(
-                [*_environment_cell(data, task), controller, found.rule, f"{found.env_steps:,}", *values]
-            )
+            values = map(formatted, (found.imitated, found.played))
+            rows.append([task, controller, found.rule, f"{found.env_steps:,}", *values])
             exact.append({"environment": task, "controller": controller, **asdict(found)})
     notes: list[Part] = [f"{line}." for line in lines if line]
     if not rows:
         return notes
     column = data.readable(data.column)
-    table = Table(
+    table = data.table_by_task(
         "starts",
         "Controllers that started from a rule, which acted in the first steps of each run: mean of the "
         "policies that imitated it, at the end of these steps, and of the rule, on the curve's episodes.",
-        [
-            *_environment_heading(data),
-            "controller",
-            "rule",
-            "steps",
-            f"{data.mode}: {column} after imitation",
-            f"the rule's {column}",
-        ],
+        ["controller", "rule", "steps", f"{data.mode}: {column} after imitation", f"the rule's {column}"],
         rows,
         pd.DataFrame(exact),
-        words=frozenset(range(2 + len(_environment_heading(data)))),
+        words=(2,),
     )
     return [table, *notes]
 
@@ -384,16 +364,3 @@ def _evaluation_episodes(data: StudyData) -> str:
     first = {"episode": "is also the first", "episodes": f"are also the first {number}"}
     which = first.get(noun, "are also the first")
     return f"{curves} per point of the curves, which {which} of the last evaluation's {last}"
-
-
-def _environment_heading(data: StudyData) -> list[str]:
-    return ["environment"] if len(data.tasks) > 1 else []
-
-
-def _environment_cell(data: StudyData, task: str) -> list[str]:
-    return [task] if len(data.tasks) > 1 else []
-
-
-def _text_columns(data: StudyData) -> frozenset[int]:
-    """Return the columns that name a row."""
-    return frozenset(range(1 + len(_environment_heading(data))))

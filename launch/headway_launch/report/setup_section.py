@@ -5,7 +5,7 @@ from typing import Any
 import pandas as pd
 
 from headway.wording import spans
-from headway_launch.report.elements import MISSING, Part, Section, Table
+from headway_launch.report.elements import MISSING, Part, Section
 from headway_launch.report.study_data import StudyData
 
 
@@ -13,12 +13,11 @@ def setup_section(data: StudyData) -> Section:
     """Return the section with each learner's policies, preset, seeds and steps, and the evaluations."""
     rows: list[list[str]] = []
     exact: list[dict[str, Any]] = []
-    several = len(data.tasks) > 1
     for (task, controller), members in data.cells.items():
         seeds, steps = sorted({row.seed for row in members}), data.budgets(task)[controller]
         rows.append(
             [
-                *([task] if several else []),
+                task,
                 controller,
                 members[0].policies or MISSING,
                 members[0].preset or MISSING,
@@ -37,17 +36,9 @@ def setup_section(data: StudyData) -> Section:
             }
             for row in members
         ]
-    headings = [
-        *(["environment"] if several else []),
-        "controller",
-        "policies",
-        "preset",
-        "seeds",
-        "environment steps per seed",
-    ]
-    last = len(headings) - 1
     caption = "What was trained; the command lines are under Provenance."
-    table = Table("setup", caption, headings, rows, pd.DataFrame(exact), words=frozenset(range(last)))
+    headings = ["controller", "policies", "preset", "seeds", "environment steps per seed"]
+    table = data.table_by_task("setup", caption, headings, rows, pd.DataFrame(exact), words=(2, 3, 4))
     body: list[Part] = [table, *(_evaluation(data, task) for task in data.tasks)]
     return Section("setup", "Setup", body)
 

@@ -113,29 +113,20 @@ def _against_rules(data: StudyData, task: str) -> list[str]:
             "time, but stores nothing."
         ]
     rule = data.best_rules[task]
-    better, worse, undecided = [], [], []
+    better, worse = (
+        ("better (below it)", "worse (above it)") if data.lower_is_better else ("above it", "below it")
+    )
+    groups: dict[str, list[str]] = {better: [], worse: [], "no difference shown": []}
     unknown: dict[str, str] = {}
     for controller in data.on(task):
         against = data.against_best_rule(task, controller)
-        found = against.interval
-        if found is None:
+        if (found := against.interval) is None:
             unknown[controller] = against.reason
             continue
+        kind = better if data.sign * found.estimate > 0 else worse
         shown = f"`{controller}` ({with_interval(found.estimate, found.low, found.high, sign='+')})"
-        if not found.excludes_zero:
-            undecided.append(shown)
-        elif data.sign * found.estimate > 0:
-            better.append(shown)
-        else:
-            worse.append(shown)
-    kinds = (("above it", better), ("below it", worse), ("no difference shown", undecided))
-    if data.lower_is_better:
-        kinds = (
-            ("better (below it)", better),
-            ("worse (above it)", worse),
-            ("no difference shown", undecided),
-        )
-    known = [f"{kind}: {', '.join(names)}" for kind, names in kinds if names]
+        groups[kind if found.excludes_zero else "no difference shown"].append(shown)
+    known = [f"{kind}: {', '.join(names)}" for kind, names in groups.items() if names]
     if not known:
         why = "; ".join(dict.fromkeys(unknown.values()))
         return [f"The best rule on {task} is `{rule}`; the learners' difference from it is unknown: {why}."]

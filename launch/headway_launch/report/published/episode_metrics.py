@@ -9,9 +9,9 @@ import pandas as pd
 
 from headway.contracts import PublishedResults
 from headway.registry import env_entry
-from headway.stats.samples import Interval, mean_std
+from headway.stats.samples import Interval
 from headway_launch.report.elements import MISSING, formatted, with_deviation
-from headway_launch.report.study_data import StudyData
+from headway_launch.report.study_data import StudyData, mean_of_known
 from headway_launch.studies.runs import configuration
 
 
@@ -61,30 +61,17 @@ def learner_metrics(data: StudyData, task: str, columns: Sequence[MetricColumn])
     for name, members in data.on(task).items():
         row: dict[str, Any] = {"algorithm": members[0].algorithm, "seeds": len(members)}
         for each in columns:
-            of_seeds = mean_by_seed(data, task, name, each.metric)
-            of_cell = mean_std(of_seeds) if len(of_seeds) else None
-            row[each.metric] = of_cell.mean if of_cell else float("nan")
-            row[f"{each.metric}_std"] = of_cell.std if of_cell else float("nan")
+            of_cell = mean_of_known(data.by_seed(task, name, each.metric).mean(axis="columns"))
+            row |= {each.metric: of_cell.mean, f"{each.metric}_std": of_cell.std}
         found[name] = row
     return pd.DataFrame.from_dict(found, orient="index")
 
 
 def rule_metrics(data: StudyData, task: str, columns: Sequence[MetricColumn]) -> pd.DataFrame:
     """Return one row per rule, best first: the mean of each metric over episodes."""
-    found = {}
-    for rule in data.ranked_rules(task):
-        of_rule = data.of_rule(task, rule)
-        found[f"rule {rule}"] = {
-            each.metric: float(of_rule[each.metric].mean()) if each.metric in of_rule else float("nan")
-            for each in columns
-        }
-    return pd.DataFrame.from_dict(found, orient="index")
-
-
-def mean_by_seed(data: StudyData, task: str, controller: str, metric: str) -> "np.ndarray[Any, Any]":
-    """Return a learner's means over episodes, shape (seeds,); empty if the metric was not logged."""
-    values = data.by_seed(task, controller, metric)
-    return values.mean(axis="columns").to_numpy() if values.size else np.empty(0)
+    metrics = [each.metric for each in columns]
+    of_rules = {rule: data.of_rule(task, rule).reindex(columns=metrics) for rule in data.ranked_rules(task)}
+    return pd.DataFrame({f"rule {rule}": episodes.mean() for rule, episodes in of_rules.items()}).T
 
 
 def formatted_row(row: "pd.Series[Any]", columns: Sequence[MetricColumn]) -> list[str]:

@@ -14,7 +14,6 @@ from headway_launch.report.published.episode_metrics import (
     formatted_row,
     interval_columns,
     learner_metrics,
-    mean_by_seed,
     published_results,
     rule_metrics,
     seeds_of,
@@ -132,10 +131,10 @@ def _scaling(data: StudyData, one: str, two: str, number: str) -> list[Part]:
 
 def _change(data: StudyData, one: str, two: str, name: str, metric: str) -> "Interval | None":
     """Return the change of a metric's mean, or None if it was not logged or there is only one seed."""
-    of_one, of_two = (mean_by_seed(data, task, name, metric) for task in (one, two))
+    of_one, of_two = (data.by_seed(task, name, metric).mean(axis="columns") for task in (one, two))
     if min(len(of_one), len(of_two)) < 2:
         return None
-    return difference_of_means(of_two, of_one)
+    return difference_of_means(of_two.to_numpy(), of_one.to_numpy())
 
 
 def _shown(change: "Interval | None", decimals: int) -> str:
