@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from policy_rows import BOX, DISCRETE, DOUBLE, A, D, OnePolicy, every_space, random_rows, update_of
 from torch import Tensor, nn
-from torch.distributions import Categorical, Independent, Normal, kl_divergence
+from torch.distributions import Categorical, Independent, Normal
 
-from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, generator
+from headway.contracts import EnvSpec, HeadwayError, generator
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig, ModelConfig
@@ -20,46 +21,25 @@ from headway_algos.networks.actor import Actor
 from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.on_policy.updates.kfac import KFAC
-from headway_algos.optim.fisher import from_vector, to_vector
+from headway_algos.optim.fisher import to_vector
 from headway_algos.optim.kfac_regression import KFACRegression
 from headway_algos.registry import configure
 
-P, B, D, A = 3, 24, 3, 3
-DOUBLE = torch.float64
-DISCRETE = EnvSpec("made", ("only",), D, Discrete(A), has_action_mask=True)
-BOX = EnvSpec("made", ("only",), D, Box((-1.0,) * A, (1.0,) * A))
+P, B = 3, 24
 CONFIG = configure(
-    "custom",
-    update="kfac",
-    model=ModelConfig(hidden=(5, 4), actor_gain=1.0),
-    precision="float64",
-    piece_samples=30,
-    lr=0.5,
-    kl_bound=1e-3,
-    entropy_coeff=0.2,
-)
-every_space = pytest.mark.parametrize("spec", [DISCRETE, BOX], ids=["discrete", "box"])
+    "custom", update="kfac", model=ModelConfig(hidden=(5, 4), actor_gain=1.0), precision="float64",
+    piece_samples=30, lr=0.5, kl_bound=1e-3, entropy_coeff=0.2,
+)  # fmt: skip
 
 
-def _update(spec: EnvSpec, config: AlgoConfig = CONFIG, stack: int = P) -> KFAC:
-    layout = Layout(Grouping.of("shared", spec), stack, torch.device("cpu"), DOUBLE)
-    return KFAC(Actor(config.model, spec, range(stack), 1, DOUBLE), config, layout)
+def _update(spec: EnvSpec, config: AlgoConfig = CONFIG) -> KFAC:
+    update = update_of(config, spec, P)
+    assert isinstance(update, KFAC)
+    return update
 
 
 def _rows(spec: EnvSpec, seed: int = 1) -> tuple[PolicyBatch, Tensor]:
-    """Some rows are not selected, and the last policy has only a few."""
-    random = torch.Generator().manual_seed(seed)
-    selected = (torch.rand(P, B, generator=random) < 0.8).numpy()
-    selected[-1, 6:] = False
-    masks, actions = None, torch.randn(P, B, A, generator=random, dtype=DOUBLE)
-    if spec is DISCRETE:
-        masks = torch.rand(P, B, A, generator=random) < 0.8
-        masks[..., 1] |= ~masks.any(-1)
-        actions = (masks * torch.rand(P, B, A, generator=random)).argmax(-1)
-    observations = torch.randn(P, B, D, generator=random, dtype=DOUBLE)
-    advantages = torch.randn(P, B, generator=random, dtype=DOUBLE)
-    log_probs = torch.zeros(P, B, dtype=DOUBLE)
-    return PolicyBatch(observations, masks, actions, log_probs, selected), advantages
+    return random_rows(spec, P, B, seed)
 
 
 def _generators(iteration: int) -> list[np.random.Generator]:
@@ -80,42 +60,12 @@ class Chosen(np.random.Generator):
         return self.noise
 
 
-class Alone:
-    """One policy and its rows, for oracles: its parameters are one vector (V,)."""
-
-    def __init__(self, actor: Actor, rows: PolicyBatch, advantages: Tensor, p: int) -> None:
-        self.actor = actor.narrow(torch.tensor([p]))
-        chosen = np.flatnonzero(rows.selected[p])
-        self.observations, self.actions = rows.observations[p, chosen], rows.actions[p, chosen]
-        self.masks = None if rows.masks is None else rows.masks[p, chosen]
-        self.advantages = advantages[p, chosen]
-        self.start = to_vector(parameter.detach() for parameter in self.actor.learnable)[0]
-
-    def distribution(self, theta: Tensor) -> Any:  # noqa: ANN401 - torch leaves it untyped
-        parts = [part[0] for part in from_vector(theta[None], self.actor.learnable)]
-        log_std = parts.pop(0)[:, 0] if self.actor.log_std is not None else None
-        layers, x = len(parts) // 2, self.observations
-        for i in range(layers):
-            x = x @ parts[i].T + parts[layers + i][:, 0]
-            x = torch.tanh(x) if i < layers - 1 else x
-        if log_std is not None:
-            return Independent(Normal(x, log_std.exp().expand_as(x)), 1)
-        return Categorical(logits=x if self.masks is None else x.masked_fill(~self.masks, -400.0))
-
+class Alone(OnePolicy):
     def gradient(self, entropy_coeff: float) -> Tensor:
         theta = self.start.clone().requires_grad_()
         now = self.distribution(theta)
         objective = now.log_prob(self.actions) * self.advantages + entropy_coeff * now.entropy()
         result: Tensor = torch.autograd.grad(objective.mean(), theta)[0]
-        return result
-
-    def kl(self, theta: Tensor) -> Tensor:
-        result: Tensor = kl_divergence(self.distribution(self.start), self.distribution(theta))
-        return result.mean()
-
-    def fisher(self) -> Tensor:
-        """The Hessian of the divergence, (V, V)."""
-        result: Tensor = torch.autograd.functional.hessian(self.kl, self.start)
         return result
 
 
@@ -361,25 +311,6 @@ def test_annealing_scales_steps_with_either_bound() -> None:
         torch.testing.assert_close(moves[1], 0.1 * moves[0], rtol=1e-9, atol=1e-12)
 
 
-@every_space
-def test_a_policy_without_rows_and_its_averages_stay_unchanged(spec: EnvSpec) -> None:
-    update = _update(spec, replace(CONFIG, kfac_momentum=0.9))
-    rows, advantages = _rows(spec)
-    update.improve(rows, advantages, _generators(0))
-    averages = [tensor.clone() for tensor in update.optimiser.factors.averages]
-    rows, advantages = _rows(spec, seed=2)
-    rows.selected[1] = False
-    moved, info = _moved(update, rows, advantages, _generators(1))
-    assert [bool((moved[p] == 0).all()) for p in range(P)] == [False, True, False]
-    for old, new in zip(averages, update.optimiser.factors.averages, strict=True):
-        assert [torch.equal(old[p], new[p]) for p in range(P)] == [False, True, False]
-    assert all(torch.isnan(value).tolist() == [False, True, False] for value in info.values())
-    rows.selected[:] = False
-    moved, info = _moved(update, rows, advantages, _generators(2))
-    assert (moved == 0).all()
-    assert all(bool(torch.isnan(value).all()) for value in info.values())
-
-
 @pytest.mark.parametrize("masked", [False, True])
 def test_sampled_scores_of_a_categorical_have_the_fisher_information_as_covariance(masked: bool) -> None:
     """Scores drawn with evenly spaced uniforms have mean 0 and the Fisher information as covariance;
@@ -427,12 +358,8 @@ def _regression(
     network = StackedMLP(range(P), 1, "test", (D, hidden, 1), "tanh", 1.0, DOUBLE)
     config = configure("custom", critic_update="kfac", kfac_damping=1e-14)
     rows = torch.randn(P, B, D, generator=random, dtype=DOUBLE)
-    return (
-        KFACRegression(network, config, 1.0, bound),
-        network,
-        rows,
-        torch.randn(P, B, generator=random, dtype=DOUBLE),
-    )
+    targets = torch.randn(P, B, generator=random, dtype=DOUBLE)
+    return KFACRegression(network, config, 1.0, bound), network, rows, targets
 
 
 def _regress(regression: KFACRegression, rows: Tensor, targets: Tensor) -> None:

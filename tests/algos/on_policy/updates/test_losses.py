@@ -1,6 +1,7 @@
 """Losses that return something else than one value per row are refused in one line."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import ClassVar, cast
 
 import pytest
@@ -9,7 +10,7 @@ from torch import Tensor
 
 from headway.contracts import HeadwayError
 from headway_algos.networks.distributions import Distribution, MaskedCategorical
-from headway_algos.on_policy.updates.losses import LossRows, checked_loss, require_reports
+from headway_algos.on_policy.updates.losses import A2CLoss, LossRows, checked_loss, require_reports
 
 P, B = 2, 5
 NEW = MaskedCategorical.of_logits(torch.zeros(P, 3, B, requires_grad=True), None)
@@ -24,6 +25,14 @@ class _Loss:
 
     def __call__(self, new: Distribution, batch: LossRows) -> tuple[Tensor, dict[str, Tensor]]:
         return cast("tuple[Tensor, dict[str, Tensor]]", self.returned(new.log_prob(batch.actions)))
+
+
+def test_the_loss_of_a2c_at_uniform_policies_of_three_actions() -> None:
+    """-A log pi - c H, with -log pi = H = log 3."""
+    loss, metrics = A2CLoss(0.3)(NEW, replace(BATCH, advantages=torch.full((P, B), 2.0)))
+    entropy = torch.full((P, B), 3.0).log()
+    torch.testing.assert_close(loss, (2 - 0.3) * entropy)
+    torch.testing.assert_close(metrics["entropy"], entropy)
 
 
 def test_a_loss_per_row_and_its_metrics_are_returned() -> None:
