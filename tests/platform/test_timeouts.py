@@ -5,12 +5,9 @@ from math import inf
 from headway.timeouts import AdaptiveTimeout
 
 
-def test_there_is_no_limit_before_the_first_wait() -> None:
-    assert AdaptiveTimeout().limit_s == inf
-
-
 def test_the_limit_is_ten_times_the_longest_wait_and_at_least_a_minute() -> None:
     timeout = AdaptiveTimeout()
+    assert timeout.limit_s == inf  # before the first wait
     for seconds, limit in ((0.1, 60.0), (7.0, 70.0), (2.0, 70.0)):
         timeout.add(seconds)
         assert timeout.limit_s == limit

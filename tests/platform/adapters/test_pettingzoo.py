@@ -1,5 +1,6 @@
 """PettingZoo environments as batches: alive masks, ends of streams, errors."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -20,6 +21,22 @@ from tests.robustness.misbehaving import parallel_env
 def batch(script: Script = lambda env: None, agents_come_and_go: bool | None = None) -> ParallelEnvBatch:
     options = AdapterOptions(agents_come_and_go=agents_come_and_go)
     return ParallelEnvBatch(lambda: Scripted(script), 2, "scripted", options)
+
+
+def at(step: int, change: Callable[[Scripted], object]) -> Script:
+    """Return a script that changes the environment's answer at one step."""
+
+    def script(env: Scripted) -> None:
+        if env.steps == step:
+            change(env)
+
+    return script
+
+
+def play_steps(env: ParallelEnvBatch, steps: int) -> None:
+    env.reset(seeds(env.num_copies))
+    for _ in range(steps):
+        env.step(NOTHING[: env.num_copies])
 
 
 def seeds(count: int = 2) -> NDArray[np.uint64]:
@@ -81,14 +98,6 @@ def test_only_present_agents_get_actions() -> None:
     for _ in range(4):
         env.step(np.array([[1, 0]]))
     assert made.given == [{"a": 1, "b": 0}, {"a": 1, "b": 0}, {"a": 1}, {"a": 1}]
-
-
-def test_leaving_early_must_be_declared() -> None:
-    env = batch(kill_b_at_two)
-    env.reset(seeds())
-    env.step(NOTHING)
-    with pytest.raises(HeadwayError, match="'scripted': agent 'b' of copy 0 is not alive at step 2"):
-        env.step(NOTHING)
 
 
 def leave_at_two(env: Scripted) -> None:
@@ -164,22 +173,6 @@ def test_a_live_agent_without_allowed_actions_is_an_error(space: Space, options:
         env.step(np.zeros((2, 2, *(space.shape or ())), dtype=np.int64))
 
 
-def test_masks_that_come_late_are_an_error() -> None:
-    """Whether actions are masked is decided once: later masks would be ignored."""
-
-    def script(env: Scripted) -> None:
-        if env.steps == 2:
-            env.infos["b"] = {"action_mask": np.array([True, False])}
-
-    env = batch(script)
-    env.reset(seeds())
-    env.step(NOTHING)
-    with pytest.raises(
-        HeadwayError, match="'scripted' returned an action_mask for agent 'b' at step 2 but none"
-    ):
-        env.step(NOTHING)
-
-
 @pytest.mark.parametrize(
     ("place", "fault", "reason"),
     [
@@ -203,7 +196,6 @@ def test_masks_that_come_late_are_an_error() -> None:
 def test_an_answer_of_another_form_is_an_error(place: str, fault: str, reason: str) -> None:
     made = partial(parallel_env, fault, place, at=3, spares_session=False)
     env = ParallelEnvBatch(made, 1, "misbehaving")
-    env.reset(seeds(1))
     with pytest.raises(
         HeadwayError, match=r"'misbehaving' returned a value at step \d that cannot"
     ) as failure:
@@ -212,26 +204,16 @@ def test_an_answer_of_another_form_is_an_error(place: str, fault: str, reason: s
     assert "return (observations, " in str(failure.value)
 
 
-def play_steps(env: ParallelEnvBatch, steps: int) -> None:
-    for _ in range(steps):
-        env.step(NOTHING[:1])
-
-
 def test_an_error_of_the_environment_s_own_is_named_with_its_place() -> None:
     for place in ("reset", "step"):
         env = ParallelEnvBatch(partial(parallel_env, "raise KeyError", place, 3, "", False), 1, "misbehaving")
-        env.reset(seeds(1))
         line = rf"environment 'misbehaving' raised KeyError: 'agent' in {place} \(misbehaving\.py, line \d+\)"
         with pytest.raises(EnvironmentRaisedError, match=line):
             play_steps(env, 8)
 
 
 def test_termination_takes_precedence_over_truncation() -> None:
-    def script(env: Scripted) -> None:
-        if env.steps == 4:
-            env.terminated = dict.fromkeys(env.agents, True)
-
-    env = batch(script)
+    env = batch(at(4, lambda env: env.terminated.update(dict.fromkeys(env.agents, True))))
     env.reset(seeds())
     for _ in range(4):
         outcome, _ = env.step(NOTHING)
@@ -322,27 +304,6 @@ def test_observations_of_more_axes_are_flattened() -> None:
     np.testing.assert_array_equal(env.reset(seeds(1)).observations[0, 1, 1:], [0, 1, 0, 0, 0])
 
 
-def test_observations_of_undeclared_shape_are_an_error() -> None:
-    def script(env: Scripted) -> None:
-        if env.steps == 1:
-            env.observations["b"] = np.zeros(4)
-
-    env = batch(script)
-    env.reset(seeds())
-    with pytest.raises(HeadwayError, match=r"'b': \(4,\).*should get 3 numbers"):
-        env.step(NOTHING)
-
-
-def test_an_unknown_agent_is_an_error() -> None:
-    def script(env: Scripted) -> None:
-        env.agents = ["a", "stranger"]
-
-    env = batch()
-    env._envs[0].script = script  # type: ignore[attr-defined]  # ours is a Scripted
-    with pytest.raises(HeadwayError, match="agent 'stranger', which is not in its possible_agents"):
-        env.reset(seeds())
-
-
 def _leave_out(name: str, agent: str, at: int) -> Script:
     """At step `at`, b ends, and `agent` is left out of the mapping `name`."""
 
@@ -364,52 +325,38 @@ def test_a_live_agent_without_an_answer_is_an_error(name: str, shared_reward: bo
         made = partial(Scripted, _leave_out(f"{name}s", agent, at))
         env = ParallelEnvBatch(made, 1, "scripted", options)
         env.reset(seeds(1))
-        for _ in range(at - 1):
-            env.step(NOTHING[:1])
-        message = (
-            f"'scripted' returned no {name} for agent '{agent}' at step {at}; return one for every agent"
-        )
-        with pytest.raises(HeadwayError, match=message):
-            env.step(NOTHING[:1])
+        line = f"'scripted' returned no {name} for agent '{agent}' at step {at}; return one for every agent"
+        with pytest.raises(HeadwayError, match=line):
+            play_steps(env, at)
 
 
-def test_an_agent_without_its_first_observation_is_an_error() -> None:
-    env = batch(_leave_out("observations", "a", 0))
-    with pytest.raises(HeadwayError, match="returned no observation for agent 'a' at step 0"):
-        env.reset(seeds())
+def test_leaving_early_must_be_declared() -> None:
+    with pytest.raises(HeadwayError, match="'scripted': agent 'b' of copy 0 is not alive at step 2"):
+        play_steps(batch(kill_b_at_two), 2)
 
 
-@pytest.mark.parametrize("how", ["truncated", "slot_ended"])
-def test_a_truncated_agent_without_its_last_observation_is_an_error(how: str) -> None:
-    """The value of that observation is part of its return; a terminated agent needs none."""
-
-    def script(env: Scripted) -> None:
-        if env.steps == 1:
-            del env.observations["b"]
-            if how == "truncated":
-                env.truncated["b"] = True
-            else:
-                env.infos["b"] = {"slot_ended": "truncated", "alive": False}
-
-    env = batch(script, agents_come_and_go=True)
-    env.reset(seeds())
-    with pytest.raises(HeadwayError, match="returned no observation for agent 'b' at step 1"):
-        env.step(NOTHING)
+LEAVING = {"slot_ended": "truncated", "alive": False}
 
 
-@pytest.mark.parametrize("name", ["observation", "reward"])
-def test_an_answer_of_an_unknown_agent_is_an_error(name: str) -> None:
-    def script(env: Scripted) -> None:
-        if env.steps == 1:
-            mapping = getattr(env, f"{name}s")
-            mapping["stranger"] = mapping["a"]
-
-    env = batch(script)
-    env.reset(seeds())
-    with pytest.raises(
-        HeadwayError, match=rf"returned an? {name} for agent 'stranger' at step 1, which is not"
-    ):
-        env.step(NOTHING)
+@pytest.mark.parametrize(
+    ("script", "line"),
+    [
+        # Whether actions are masked is decided once: later masks would be ignored.
+        (at(2, lambda e: e.infos.update(b={"action_mask": [1, 0]})), "mask for agent 'b' at step 2 but none"),
+        (at(1, lambda e: e.observations.update(b=np.zeros(4))), r"'b': \(4,\).*should get 3 numbers"),
+        (at(0, lambda e: e.agents.append("c")), "agent 'c', which is not in its possible_agents"),
+        (at(0, lambda e: e.observations.pop("a")), "no observation for agent 'a' at step 0"),
+        (at(1, lambda e: e.observations.update(c=np.zeros(3))), "an observation for agent 'c' at step 1"),
+        (at(1, lambda e: e.rewards.update(c=1.0)), "returned a reward for agent 'c' at step 1, which is not"),
+        (at(1, lambda e: e.infos.update(b={"slot_ended": True})), "True as slot_ended of agent 'b'; write"),
+        # The value of a truncated agent's last observation is part of its return.
+        (at(1, lambda e: (e.observations.pop("b"), e.truncated.update(b=True))), "observation for agent 'b'"),
+        (at(1, lambda e: (e.observations.pop("b"), e.infos.update(b=LEAVING))), "observation for agent 'b'"),
+    ],
+)  # fmt: skip
+def test_answers_that_cannot_be_used_are_errors(script: Script, line: str) -> None:
+    with pytest.raises(HeadwayError, match=line):
+        play_steps(batch(script, agents_come_and_go=True), 2)
 
 
 def test_an_environment_without_agents_is_refused() -> None:
@@ -468,16 +415,3 @@ def test_a_slot_can_hold_several_agents_in_turn() -> None:
             assert not outcome.episode_ended.any()
     assert ends == [(False, False), (False, True), (False, False), (False, True)]
     assert alive == [True, False, True, True]  # the last is of the next episode
-
-
-def test_slot_ended_is_terminated_or_truncated() -> None:
-    def end_it_somehow(env: Scripted) -> None:
-        if env.steps == 1:
-            env.infos["b"] = {"slot_ended": True}
-
-    env = batch(end_it_somehow, agents_come_and_go=True)
-    env.reset(seeds())
-    with pytest.raises(
-        HeadwayError, match="returned True as slot_ended of agent 'b'; write terminated or tru"
-    ):
-        env.step(NOTHING)
