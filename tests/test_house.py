@@ -39,36 +39,18 @@ LISTS = ("recipes", "commands")
 """Folders of alike things, which may hold more."""
 LAYERS = {
     "headway": (
-        "training",
-        "policies",
-        "wrappers",
-        "adapters",
-        "store",
-        "rollout",
-        "energy",
-        "stats",
-        "config",
+        "training", "policies", "wrappers", "adapters", "store", "rollout", "energy", "stats", "config",
         "contracts",
     ),
     "headway_algos": (
-        "recipes",
-        "on_policy",
-        "off_policy",
-        "optim",
-        "batches",
-        "networks",
-        "acting",
-        "kernels",
+        "recipes", "on_policy", "off_policy", "optim", "batches", "networks", "acting", "kernels",
     ),
     "headway_launch": ("commands", "web", "report", "studies", "runner", "experiments", "console"),
-}
+}  # fmt: skip
 """Folders of a package, from the top: each imports only from those after it."""
 TESTS_OF = {
-    "platform": "headway",
-    "envs": "headway_envs",
-    "algos": "headway_algos",
-    "launch": "headway_launch",
-}
+    "platform": "headway", "envs": "headway_envs", "algos": "headway_algos", "launch": "headway_launch",
+}  # fmt: skip
 HEAVY = (
     "torch", "mlflow", "hydra", "omegaconf", "pandas", "numba", "pyarrow", "codecarbon", "matplotlib",
     "optuna",

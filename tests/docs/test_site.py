@@ -82,20 +82,14 @@ def test_every_link_within_the_site_leads_to_a_page_and_a_place_on_it(site: Path
 @pytest.mark.parametrize(
     ("words", "page"),
     [
-        (["envs", "bus"], "environments/bus"),
-        (["rules", "bus"], "environments/bus"),
-        (["metrics", "bus"], "environments/bus"),
-        (["observations", "bus"], "environments/bus"),
-        (["algos", "mappo"], "algorithms/mappo"),
-        (["algos", "ddpg"], "algorithms/ddpg"),
-        (["keys"], "configuration"),
-        (["envs"], "environments/index"),
-        (["algos"], "algorithms/index"),
-        (["wrappers"], "wrappers"),
-        (["experiments"], "options"),
+        (["envs", "bus"], "environments/bus"), (["rules", "bus"], "environments/bus"),
+        (["metrics", "bus"], "environments/bus"), (["observations", "bus"], "environments/bus"),
+        (["algos", "mappo"], "algorithms/mappo"), (["algos", "ddpg"], "algorithms/ddpg"),
+        (["keys"], "configuration"), (["envs"], "environments/index"), (["algos"], "algorithms/index"),
+        (["wrappers"], "wrappers"), (["experiments"], "options"),
     ],
     ids=" ".join,
-)
+)  # fmt: skip
 def test_the_reference_has_what_the_terminal_lists(
     words: list[str], page: str, site: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -87,11 +87,8 @@ def test_text_arrives_unchanged(text: str) -> None:
 
 def test_lists_of_a_sweep_are_values() -> None:
     keys = {
-        "env": "trivial",
-        "algo": ["ippo", "mappo"],
-        "algo.lr": np.array([0.1, 0.2]).tolist(),
-        "seed": (3, 4),
-    }
+        "env": "trivial", "algo": ["ippo", "mappo"], "algo.lr": np.array([0.1, 0.2]).tolist(), "seed": (3, 4),
+    }  # fmt: skip
     keys |= {"algo.model.hidden": [[8], [4, 4]], "study": ["one"]}
     cells = compose_sweep(override_words(keys, sweep=True))
     found = [(each.algo_name, each.algo_config.lr, each.algo_config.model.hidden) for each in cells]

@@ -81,15 +81,10 @@ def _replace_by_text(path: Path, draws: random.Random) -> str:
     _clear(path)
     content = draws.choice(
         (
-            draws.randbytes(1000),
-            b"[" * 100_000,
-            b"{" * 100_000,
-            b"\0" * 1000,
-            b"null",
-            b"\xff\xfe",
+            draws.randbytes(1000), b"[" * 100_000, b"{" * 100_000, b"\0" * 1000, b"null", b"\xff\xfe",
             b"- " * 100_000,
         )
-    )
+    )  # fmt: skip
     path.write_bytes(content)
     return f"replaced by {content[:4]!r}... of {len(content)} bytes"
 

@@ -264,13 +264,9 @@ class Search:
 
         @seed(root)
         @settings(
-            max_examples=cases,
-            database=None,
-            deadline=None,
-            phases=[Phase.generate, Phase.shrink],
-            report_multiple_bugs=False,
-            suppress_health_check=list(HealthCheck),
-        )
+            max_examples=cases, database=None, deadline=None, phases=[Phase.generate, Phase.shrink],
+            report_multiple_bugs=False, suppress_health_check=list(HealthCheck),
+        )  # fmt: skip
         @given(lines)
         def attempt(words: Words) -> None:
             ended = self._ended(words)

@@ -52,14 +52,9 @@ class Session:
         variables["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
         with self._output[0].open("wb") as out, self._output[1].open("wb") as err:
             self.process = subprocess.Popen(
-                [*before, *headway(words)],
-                cwd=folder,
-                env=variables,
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=err,
-                start_new_session=True,
-            )
+                [*before, *headway(words)], cwd=folder, env=variables, stdin=subprocess.DEVNULL, stdout=out,
+                stderr=err, start_new_session=True,
+            )  # fmt: skip
 
     def __enter__(self) -> Self:
         return self

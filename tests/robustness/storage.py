@@ -68,12 +68,9 @@ def campaign(scale: Scale, seed: int, folder: Path) -> list[Tally]:
     for number in range(scale.storage):
         name = list(faults)[number % len(faults)]
         outcome, how = disturbed(
-            faults[name],
-            random.Random(f"{seed} {number}"),
-            folder / str(number),
-            table,
+            faults[name], random.Random(f"{seed} {number}"), folder / str(number), table,
             folder / "whole/runs",
-        )
+        )  # fmt: skip
         tallies[name].add(outcome, f"case {number} of seed {seed}: {how}" if outcome in FAILURES else "")
         shutil.rmtree(folder / str(number))
     return list(tallies.values())
@@ -190,10 +187,7 @@ def _moment(chance: random.Random) -> float:
 
 
 FAULTS: dict[str, Fault] = {
-    "full disk": _full_disk,
-    "read-only store": _read_only,
-    "lost server": _lost_server,
-    "sweeps at once": _sweeps_at_once,
-    "file size limit": size_limit,
-}
+    "full disk": _full_disk, "read-only store": _read_only, "lost server": _lost_server,
+    "sweeps at once": _sweeps_at_once, "file size limit": size_limit,
+}  # fmt: skip
 _MOUNTING = ("full disk", "read-only store")

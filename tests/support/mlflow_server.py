@@ -28,13 +28,9 @@ def start_server(folder: Path, port: int) -> subprocess.Popen[bytes]:
     command += ["--backend-store-uri", database_uri(folder), "--workers", "1"]
     command += ["--artifacts-destination", str(folder / "artifacts")]
     process = subprocess.Popen(
-        command,
-        cwd=folder,
-        start_new_session=True,
-        env={**os.environ, **_QUIET},
-        stdout=subprocess.DEVNULL,
+        command, cwd=folder, start_new_session=True, env={**os.environ, **_QUIET}, stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-    )
+    )  # fmt: skip
     deadline = time.monotonic() + _PATIENCE_S
     while not _listens(port):
         assert process.poll() is None, "MLflow's server ended"

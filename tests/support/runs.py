@@ -58,10 +58,7 @@ def job_of(
         ENTRIES["ippo"].learner,
         algo,
         ExperimentConfig(
-            seed=tuple(seeds),
-            env_steps=iterations * COPIES * STEPS,
-            device="cpu",
-            rollout=rollout,
+            seed=tuple(seeds), env_steps=iterations * COPIES * STEPS, device="cpu", rollout=rollout,
             backend=BackendConfig(backend),
             evaluation=EvaluationConfig(episodes=2, every=2 * COPIES * STEPS, final_episodes=3),
             store=StoreConfig(checkpoint_every=checkpoint_every),
@@ -69,7 +66,7 @@ def job_of(
         workers,
         directories=tuple(str(folder / str(seed)) for seed in seeds),
         resume=resume,
-    )
+    )  # fmt: skip
 
 
 def with_algorithm(job: TrainingJob, entry: AlgoEntry, config: object) -> TrainingJob:

@@ -34,12 +34,9 @@ def through_supersuit(wrapped: Wrapped, entry: EnvEntry, wrappers: Sequence[Any]
     )
     spec = wrapped.batch(1).spec
     options = AdapterOptions(
-        shared_reward=spec.shared_reward,
-        groups=spec.groups,
-        agents_come_and_go=spec.agents_come_and_go,
-        max_copies_per_process=spec.max_copies_per_process,
-        metrics=spec.metrics,
-    )
+        shared_reward=spec.shared_reward, groups=spec.groups, agents_come_and_go=spec.agents_come_and_go,
+        max_copies_per_process=spec.max_copies_per_process, metrics=spec.metrics,
+    )  # fmt: skip
     make = WrappedParallelEnv(entry.parallel_env, wrapped.prepared, listed)
     return play(
         lambda copies: ParallelEnvBatch(make, copies, wrapped.name, options), copies=1, first_seed=SEED

@@ -12,15 +12,10 @@ from multiprocessing.process import BaseProcess
 from unittest.mock import patch
 
 _MODULES = (
-    "headway_launch.runner.training_process",
-    "headway.training.loop",
-    "headway.training.modes",
-    "headway_algos.registry",
-    "headway_algos.on_policy.learner",
-    "headway_algos.off_policy.learner",
-    "pyarrow.parquet",
-    "loaded_kernels",
-)
+    "headway_launch.runner.training_process", "headway.training.loop", "headway.training.modes",
+    "headway_algos.registry", "headway_algos.on_policy.learner", "headway_algos.off_policy.learner",
+    "pyarrow.parquet", "loaded_kernels",
+)  # fmt: skip
 _SERVERS: dict[int, forkserver.ForkServer] = {}
 """Servers by process ID: children never use their parent's."""
 

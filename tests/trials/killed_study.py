@@ -26,14 +26,9 @@ from tests.trials.same_study import differences
 
 STUDY = "killed"
 BASE = (
-    "env=bus",
-    "algo=ippo,mappo,ia2c",
-    f"study={STUDY}",
-    "evaluation.episodes=2",
-    "evaluation.final_episodes=4",
-    "evaluation.rules=[even_headway]",
-    "store.checkpoint_every=5",
-)
+    "env=bus", "algo=ippo,mappo,ia2c", f"study={STUDY}", "evaluation.episodes=2",
+    "evaluation.final_episodes=4", "evaluation.rules=[even_headway]", "store.checkpoint_every=5",
+)  # fmt: skip
 _TIMEOUT_S = 3600.0
 _ATTEMPTS = 5
 _POLL_S = 0.1

@@ -211,11 +211,8 @@ def _cancel(jobs: Slurm, root: Path, sweep: Sequence[str]) -> list[str]:
 
 
 TURNS: dict[str, Callable[[Slurm, Path, Sequence[str]], list[str]]] = {
-    "cluster": _cluster,
-    "array": _array,
-    "failed": _fail,
-    "cancelled": _cancel,
-}
+    "cluster": _cluster, "array": _array, "failed": _fail, "cancelled": _cancel,
+}  # fmt: skip
 
 
 @contextmanager
@@ -270,14 +267,9 @@ def _words(process: psutil.Process) -> str:
 def _with(folder: Path, place: Path) -> list[str]:
     """Return a command prefix that mounts `folder` at `place` for the command only."""
     return [
-        "unshare",
-        "--mount",
-        "sh",
-        "-c",
-        'mount --bind "$0" "$1" && shift && exec "$@"',
-        str(folder),
+        "unshare", "--mount", "sh", "-c", 'mount --bind "$0" "$1" && shift && exec "$@"', str(folder),
         str(place),
-    ]
+    ]  # fmt: skip
 
 
 def _until_idle(found: Slurm, told: Path) -> None:

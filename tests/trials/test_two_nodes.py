@@ -16,15 +16,9 @@ from tests.trials.hosts import two_hosts
 from tests.trials.two_nodes import SMALL, STUDY, TURNS, trial
 
 SWEEP = (
-    *SMALL,
-    f"study={STUDY}",
-    "env_steps=6144",
-    "backend.workers=2",
-    "store.checkpoint_every=2",
-    "evaluation.rules=[]",
-    "evaluation.modes=[greedy]",
-    "energy=off",
-)
+    *SMALL, f"study={STUDY}", "env_steps=6144", "backend.workers=2", "store.checkpoint_every=2",
+    "evaluation.rules=[]", "evaluation.modes=[greedy]", "energy=off",
+)  # fmt: skip
 
 
 def _without_namespaces() -> str:

@@ -38,16 +38,9 @@ from tests.trials.same_study import differences
 
 STUDY = "two_nodes"
 SMALL = (
-    "env=visitors",
-    "algo=ippo",
-    "rollout.copies=4",
-    "rollout.block=2",
-    "rollout.steps=32",
-    "evaluation.episodes=1",
-    "evaluation.final_episodes=2",
-    "store.checkpoint_every=10",
-    "seed=0,1",
-)
+    "env=visitors", "algo=ippo", "rollout.copies=4", "rollout.block=2", "rollout.steps=32",
+    "evaluation.episodes=1", "evaluation.final_episodes=2", "store.checkpoint_every=10", "seed=0,1",
+)  # fmt: skip
 _PORT = 6379
 _HEALTH = {
     "RAY_health_check_initial_delay_ms": "10000",
@@ -89,12 +82,9 @@ class Turn:
 
 
 TURNS = {
-    "workers": Turn("here"),
-    "workers-killed": Turn("here", "killed"),
-    "runs": Turn("cluster"),
-    "runs-killed": Turn("cluster", "killed"),
-    "runs-cut-off": Turn("cluster", "cut off"),
-}
+    "workers": Turn("here"), "workers-killed": Turn("here", "killed"), "runs": Turn("cluster"),
+    "runs-killed": Turn("cluster", "killed"), "runs-cut-off": Turn("cluster", "cut off"),
+}  # fmt: skip
 
 
 def main() -> None:
@@ -110,12 +100,8 @@ def main() -> None:
     arguments = parser.parse_args()
     base = SMALL if arguments.experiment is None else (f"experiment={arguments.experiment}",)
     sweep = [
-        *base,
-        f"study={STUDY}",
-        f"env_steps={arguments.steps}",
-        "backend.workers=2",
-        *arguments.overrides,
-    ]
+        *base, f"study={STUDY}", f"env_steps={arguments.steps}", "backend.workers=2", *arguments.overrides,
+    ]  # fmt: skip
     signal.signal(signal.SIGTERM, end_by_signal)  # so that everything is cleaned up
     try:
         found = trial(arguments.root, sweep, {name: TURNS[name] for name in arguments.turn or TURNS})
@@ -211,12 +197,9 @@ def cluster() -> Iterator[Nodes]:
     ):
         # A token is advisable for any cluster reachable over a network.
         environment = {
-            "RAY_AUTH_MODE": "token",
-            "RAY_AUTH_TOKEN": secrets.token_hex(32),
-            "RAY_USAGE_STATS_ENABLED": "0",
-            "RAY_prestart_worker_first_driver": "0",
-            **_HEALTH,
-        }
+            "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32), "RAY_USAGE_STATS_ENABLED": "0",
+            "RAY_prestart_worker_first_driver": "0", **_HEALTH,
+        }  # fmt: skip
         nodes = Nodes(head, node, environment, Path(folder))
         address = f"{head.address}:{_PORT}"
         told = Path(folder, "ray.out")

@@ -62,13 +62,9 @@ def _learner(
     """Policies far from uniform, with a used normaliser."""
     model = ModelConfig(hidden=(8, 7), activation=activation, actor_gain=1.5)
     config = configure(
-        "custom",
-        policies=policies,
-        agent_id=False,
-        model=model,
-        precision=precision,
+        "custom", policies=policies, agent_id=False, model=model, precision=precision,
         normalise_observations=normalise,
-    )
+    )  # fmt: skip
     learner = OnPolicyLearner(config, spec, seeds, "cpu")
     random = torch.Generator().manual_seed(0)
     with torch.no_grad():

@@ -26,19 +26,10 @@ DOUBLE = torch.float64
 DISCRETE = EnvSpec("made", ("a", "b", "c"), 3, Discrete(3), has_action_mask=True, agents_come_and_go=True)
 BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
 CONFIG = configure(
-    "a3c",
-    policies="independent",
-    model=ModelConfig(hidden=(6,), actor_gain=0.5),
-    precision="float64",
-    lr=1e-2,
-    critic_lr=3e-3,
-    lr_end=0.5,
-    entropy_coeff=0.3,
-    grad_clip=0.2,
-    normalise_advantages=False,
-    normalise_observations=False,
-    normalise_values=False,
-)
+    "a3c", policies="independent", model=ModelConfig(hidden=(6,), actor_gain=0.5), precision="float64",
+    lr=1e-2, critic_lr=3e-3, lr_end=0.5, entropy_coeff=0.3, grad_clip=0.2, normalise_advantages=False,
+    normalise_observations=False, normalise_values=False,
+)  # fmt: skip
 SEED = 4
 Made = Callable[..., Trajectory]
 Arrays = Mapping[str, NDArray[Any]]

@@ -35,15 +35,9 @@ DISCRETE = EnvSpec(
 BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False, state_size=5)
 TEAM = replace(DISCRETE, state_size=5, shared_reward=True)
 SETTINGS: dict[str, Any] = {
-    "model": ModelConfig(hidden=(7, 6), actor_gain=0.5),
-    "precision": "float64",
-    "epochs": 2,
-    "minibatches": 3,
-    "lr": 3e-3,
-    "critic_lr": 1e-3,
-    "lr_end": 0.2,
-    "piece_samples": 40,
-}
+    "model": ModelConfig(hidden=(7, 6), actor_gain=0.5), "precision": "float64", "epochs": 2,
+    "minibatches": 3, "lr": 3e-3, "critic_lr": 1e-3, "lr_end": 0.2, "piece_samples": 40,
+}  # fmt: skip
 TRUST: dict[str, Any] = {
     **{key: value for key, value in SETTINGS.items() if key != "lr"},
     "model": ModelConfig(hidden=(5,), actor_gain=0.5),
@@ -62,11 +56,7 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     ),
     "ippo groups, nothing normalised": (
         configure(
-            "ippo",
-            **SETTINGS,
-            policies="groups",
-            normalise_advantages=False,
-            normalise_observations=False,
+            "ippo", **SETTINGS, policies="groups", normalise_advantages=False, normalise_observations=False,
             normalise_values=False,
         ),
         DISCRETE,
@@ -88,7 +78,7 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
     "hatrpo groups, box": (configure("hatrpo", **TRUST, policies="groups"), BOX),
     "hatrpo team": (configure("hatrpo", **TRUST), TEAM),
     "haa2c": (configure("custom", **SETTINGS, critic="central", update="a2c", order="sequential"), DISCRETE),
-}
+}  # fmt: skip
 
 
 class Moments:

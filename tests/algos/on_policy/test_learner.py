@@ -92,14 +92,10 @@ def _tensors(learner: OnPolicyLearner) -> dict[str, NDArray[Any]]:
 @pytest.mark.parametrize(
     ("config", "spec"),
     [
-        (IPPO, DISCRETE),
-        (MAPPO, WITH_STATE),
-        (IA2C, BOX),
-        (ITRPO, BOX),
-        (MATRPO, WITH_STATE),
+        (IPPO, DISCRETE), (MAPPO, WITH_STATE), (IA2C, BOX), (ITRPO, BOX), (MATRPO, WITH_STATE),
         (replace(MAACKTR, policies="independent"), DISCRETE),
     ],
-)
+)  # fmt: skip
 def test_an_independent_policy_trains_the_same_alone_and_among_others(
     fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
 ) -> None:
@@ -132,15 +128,11 @@ def test_poisoned_rows_without_experience_change_nothing(
 @pytest.mark.parametrize(
     ("config", "spec"),
     [
-        (IPPO, DISCRETE),
-        (IPPO, BOX),
-        (IPPO, replace(DISCRETE, shared_reward=True)),
-        (IPPO, replace(DISCRETE, shared_in_groups=True)),
-        (IA2C, DISCRETE),
-        (ITRPO, BOX),
+        (IPPO, DISCRETE), (IPPO, BOX), (IPPO, replace(DISCRETE, shared_reward=True)),
+        (IPPO, replace(DISCRETE, shared_in_groups=True)), (IA2C, DISCRETE), (ITRPO, BOX),
         (MAACKTR, replace(DISCRETE, shared_reward=True)),
     ],
-)
+)  # fmt: skip
 def test_unused_slots_change_nothing(
     fabricate: Fabricate,
     poisoned: Poison,

@@ -29,15 +29,9 @@ DISCRETE = EnvSpec("made", tuple("abcd"), D, Discrete(A))
 APART = Grouping.of("independent", DISCRETE)
 BOX = replace(DISCRETE, action_space=Box((-1.0,) * A, (1.0,) * A))
 CONFIG = configure(
-    "custom",
-    order="sequential",
-    model=ModelConfig(hidden=(6,), actor_gain=1.0),
-    precision="float64",
-    epochs=2,
-    minibatches=3,
-    lr=2e-2,
-    piece_samples=16,
-)
+    "custom", order="sequential", model=ModelConfig(hidden=(6,), actor_gain=1.0), precision="float64",
+    epochs=2, minibatches=3, lr=2e-2, piece_samples=16,
+)  # fmt: skip
 
 
 class Recording(GradientUpdate):

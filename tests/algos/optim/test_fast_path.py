@@ -35,15 +35,9 @@ FLOAT, CPU = torch.float32, torch.device("cpu")
 SPACES = {"discrete": Discrete(ACTIONS), "box": Box((-3.0,) * ACTIONS, (3.0,) * ACTIONS)}
 # More rows than pass through the cache at once, layers that are no multiple of four.
 CONFIG = configure(
-    "custom",
-    policies="shared",
-    model=ModelConfig(hidden=(7, 12), actor_gain=1.0),
-    epochs=2,
-    minibatches=3,
-    kl_coeff=0.4,
-    entropy_coeff=0.05,
-    clip=0.1,
-)
+    "custom", policies="shared", model=ModelConfig(hidden=(7, 12), actor_gain=1.0), epochs=2, minibatches=3,
+    kl_coeff=0.4, entropy_coeff=0.05, clip=0.1,
+)  # fmt: skip
 
 
 @pytest.fixture

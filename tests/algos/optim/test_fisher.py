@@ -33,11 +33,8 @@ SPACES: dict[str, ActionSpace] = {
     "multi": MultiDiscrete((2, A - 2)),
 }
 NETWORKS: list[tuple[tuple[int, ...], str]] = [
-    ((6, 5), "tanh"),
-    ((6, 5), "relu"),
-    ((7,), "tanh"),
-    ((), "tanh"),
-]
+    ((6, 5), "tanh"), ((6, 5), "relu"), ((7,), "tanh"), ((), "tanh"),
+]  # fmt: skip
 every_network = pytest.mark.parametrize(("hidden", "activation"), NETWORKS)
 
 

@@ -31,16 +31,9 @@ NEAR = {
     "bc2": {"nb", "bc2"},
 }
 SIDES = {
-    "ab": ("ab", "kb"),
-    "bc0": ("bc0", "bc1"),
-    "cd": ("cd", None),
-    "jk": (None, "jk"),
-    "kb": ("ab", "kb"),
-    "bc1": ("bc0", "bc1"),
-    "mn": (None, "mn"),
-    "nb": ("kb", "nb"),
-    "bc2": ("bc1", "bc2"),
-}
+    "ab": ("ab", "kb"), "bc0": ("bc0", "bc1"), "cd": ("cd", None), "jk": (None, "jk"), "kb": ("ab", "kb"),
+    "bc1": ("bc0", "bc1"), "mn": (None, "mn"), "nb": ("kb", "nb"), "bc2": ("bc1", "bc2"),
+}  # fmt: skip
 
 
 def cars_of(env: MergeBatchedEnv, copy: int) -> tuple[list[Car], int, list[str]]:

@@ -58,13 +58,9 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
     (private / outside / "artifacts" / "secret.txt").write_text(SECRET)
     with browse_server(root) as address:
         yield Store(
-            root=root,
-            address=address,
-            cookie=cookie_of(address),
-            run=run,
-            outside=outside,
+            root=root, address=address, cookie=cookie_of(address), run=run, outside=outside,
             experiment=experiment,
-        )
+        )  # fmt: skip
 
 
 def contents(root: Path) -> dict[str, str]:
@@ -136,13 +132,9 @@ def test_nothing_is_written(store: Store) -> None:
     for method, name, body in writes:
         for api in ("/mlflow/api", "/mlflow/ajax-api", "/api", "/ajax-api"):
             status, _ = answer(
-                store.address,
-                f"{api}/2.0/mlflow/{name}",
-                method,
-                json.dumps(body),
-                Cookie=store.cookie,
+                store.address, f"{api}/2.0/mlflow/{name}", method, json.dumps(body), Cookie=store.cookie,
                 **{"Content-Type": "application/json"},
-            )
+            )  # fmt: skip
             assert status in (403, 404), (method, name, status)
     for method in ("PUT", "DELETE", "PATCH", "POST"):
         for path in ("/mlflow/api", "/api", "/mlflow/ajax-api"):

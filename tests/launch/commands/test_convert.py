@@ -19,13 +19,10 @@ CURVE = [
     {"iteration": 0, "env_steps": 0, "wall_s": 0.5, "evaluation_greedy/return": 1.25},
     {"iteration": 1, "env_steps": 64, "wall_s": 2.0, "training/return": -3.5, "policy/entropy": 0.75},
     {
-        "iteration": 2,
-        "env_steps": 128,
-        "wall_s": 3.5,
-        "training/return": 4.5,
+        "iteration": 2, "env_steps": 128, "wall_s": 3.5, "training/return": 4.5,
         "evaluation_greedy/return": 2.5,
     },
-]
+]  # fmt: skip
 EPISODE = {"iteration": 1, "env_steps": 64, "copy": 0, "mean_wait_min": 7.0}
 
 

@@ -161,13 +161,10 @@ def test_a_command_whose_reader_has_gone_ends_quietly() -> None:
 @pytest.mark.parametrize(
     ("words", "code"),
     [
-        ("runs", 0),
-        ("data describe x", 0),
-        ("run --help", 0),
-        ("sweep algo=a,b --dry-run", 0),
+        ("runs", 0), ("data describe x", 0), ("run --help", 0), ("sweep algo=a,b --dry-run", 0),
         ("run algo=a", 2),
     ],
-)
+)  # fmt: skip
 def test_only_training_commands_fail_if_their_reader_has_gone(
     words: str, code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

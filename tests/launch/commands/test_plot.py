@@ -173,11 +173,8 @@ def test_a_cell_that_diverged_does_not_flatten_the_others() -> None:
     assert -10 < low <= 1
     labels = [line.get_label() for line in axes.lines]
     assert labels == [
-        "ippo (2 seeds)",
-        "mappo (2 seeds)",
-        "rule optimal",
-        "ddpg (2 seeds) (off scale: -98,440)",
-    ]
+        "ippo (2 seeds)", "mappo (2 seeds)", "rule optimal", "ddpg (2 seeds) (off scale: -98,440)",
+    ]  # fmt: skip
     assert [line.get_marker() for line in axes.lines[:2]] == ["o", "o"]  # two points are seen as two
     scores = pd.DataFrame(
         {"iqm": [5.0, -98_439.0, 7.0], "iqm_low": [4.0, -2e5, 6.0], "iqm_high": [6.0, -5e4, 8.0]},

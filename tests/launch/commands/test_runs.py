@@ -100,11 +100,8 @@ def test_what_a_sweep_varied_has_a_column(store: Path, capsys: pytest.CaptureFix
     assert run(["runs", "--store", str(store), "--format", "csv"]) == 0
     rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
     assert {row["seed"]: row["algo.lr"] for row in rows} == {
-        "0": "3e-05",
-        "1": "0.001",
-        "2": "0.001",
-        "3": "0.001",
-    }
+        "0": "3e-05", "1": "0.001", "2": "0.001", "3": "0.001",
+    }  # fmt: skip
     assert "algo.core" not in rows[0]
     assert run(["runs", "--store", str(store), "--algo", "mappo"]) == 0
     assert "algo.lr" not in capsys.readouterr().out

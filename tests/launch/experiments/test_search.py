@@ -58,13 +58,9 @@ def test_spaces_are_composed_of_the_pieces_that_algorithms_have(written: Written
 
 def test_overrides_set_keys_of_the_search_and_of_its_runs(written: Written) -> None:
     [part] = written(
-        f"{BASE}pieces: [ppo]\n",
-        "candidates=6",
-        "rungs=[50_000,60_000]",
-        "env_steps=1e5",
-        "seeds=2",
+        f"{BASE}pieces: [ppo]\n", "candidates=6", "rungs=[50_000,60_000]", "env_steps=1e5", "seeds=2",
         "algo.gamma=0.5",
-    )
+    )  # fmt: skip
     assert (part.search.candidates, part.search.rungs, part.search.seeds) == (6, (50_000, 60_000), 2)
     experiment = part.experiment(0, corners(part.space)[0])
     assert (experiment.config.env_steps, experiment.algo_config.gamma) == (100_000, 0.5)

@@ -45,27 +45,10 @@ def test_text_is_read_as_it_was(text: str) -> None:
 @pytest.mark.parametrize(
     "word",
     [
-        "#",
-        "##",
-        ">",
-        "-",
-        "+",
-        "*",
-        ":",
-        "1.",
-        "1)",
-        "12.",
-        "%",
-        "---",
-        "===",
-        "+++",
-        "=",
-        "|",
-        "[a]: b",
-        "-3",
-        "0.9",
+        "#", "##", ">", "-", "+", "*", ":", "1.", "1)", "12.", "%", "---", "===", "+++", "=", "|", "[a]: b",
+        "-3", "0.9",
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("after", [" then", ""])
 def test_no_line_of_a_paragraph_begins_another_block(word: str, after: str) -> None:
     """The word begins the paragraph, or for some length of what is before it a line, or a line of its own."""

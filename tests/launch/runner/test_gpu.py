@@ -13,14 +13,9 @@ from headway_launch.commands.main import run
 
 pytestmark = [needs_gpu, pytest.mark.slow]
 TINY = (
-    "env=trivial",
-    "algo=mappo",
-    *SMALL,
-    "env_steps=192",
-    "env.args.agents=2",
-    "env.args.steps=20",
+    "env=trivial", "algo=mappo", *SMALL, "env_steps=192", "env.args.agents=2", "env.args.steps=20",
     "device=cuda",
-)
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("backend", ["serial", "process"])

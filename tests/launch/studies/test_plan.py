@@ -43,16 +43,11 @@ def test_the_progress_of_a_seed_is_that_of_its_best_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "same"),
     [
-        ("backend=process", True),
-        ("energy.country=FRA", True),
-        ("store.checkpoint_every=3", True),
-        ("evaluation.rules=[random]", True),
-        ("algo.lr=1e-3", False),
-        ("env.args.agents=3", False),
-        ("evaluation.episodes=3", False),
-        ("env_steps=8192", False),
+        ("backend=process", True), ("energy.country=FRA", True), ("store.checkpoint_every=3", True),
+        ("evaluation.rules=[random]", True), ("algo.lr=1e-3", False), ("env.args.agents=3", False),
+        ("evaluation.episodes=3", False), ("env_steps=8192", False),
     ],
-)
+)  # fmt: skip
 def test_only_settings_that_change_the_curves_make_a_new_run(tmp_path: Path, change: str, same: bool) -> None:
     keep_run(tmp_path, compose_sweep([*BASE, "algo=ippo"])[0], 0, "FINISHED")
     state = progress(tmp_path, "algo=ippo", change)

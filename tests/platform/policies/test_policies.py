@@ -349,12 +349,9 @@ def test_a_damaged_or_foreign_file_is_one_line(
         pytest.skip("only npz has checksums of its contents")
     middle = len(whole) // 2
     contents = {
-        "truncated": whole[: len(whole) // 2],
-        "text": b"no policy",
-        "empty": b"",
-        "foreign": _foreign_npz(),
+        "truncated": whole[: len(whole) // 2], "text": b"no policy", "empty": b"", "foreign": _foreign_npz(),
         "a byte": whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :],
-    }
+    }  # fmt: skip
     path = tmp_path / f"policy{suffix}"
     path.write_bytes(contents[damage])
     with pytest.raises(HeadwayError, match="is damaged or not a policy") as caught:

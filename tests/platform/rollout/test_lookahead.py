@@ -59,15 +59,9 @@ class Game:
         flags = np.repeat(ended[:, None], 2, axis=1)
         seen = self.observed()
         result = StepResult(
-            rewards,
-            flags,
-            np.zeros_like(flags),
-            np.ones_like(flags),
-            ended,
-            seen.observations,
-            seen.states,
+            rewards, flags, np.zeros_like(flags), np.ones_like(flags), ended, seen.observations, seen.states,
             np.zeros((self.num_copies, 0)),
-        )
+        )  # fmt: skip
         if self.time == STEPS:
             self.time = 0
             self.lit[:] &= self.LASTING

@@ -257,15 +257,11 @@ def _step(copies: int = 3) -> tuple[StepResult, Observations]:
     )
     none = np.zeros((copies, 2), np.bool_)
     outcome = StepResult(
-        rewards=np.zeros((copies, 2), np.float32),
-        terminated=none.copy(),
-        truncated=none.copy(),
-        acting=~none,
-        episode_ended=np.zeros(copies, np.bool_),
+        rewards=np.zeros((copies, 2), np.float32), terminated=none.copy(), truncated=none.copy(),
+        acting=~none, episode_ended=np.zeros(copies, np.bool_),
         final_observations=np.full((copies, 2, 2), np.nan, np.float32),
-        final_states=np.full((copies, 1), np.nan, np.float32),
-        metrics=np.full((copies, 0), np.nan),
-    )
+        final_states=np.full((copies, 1), np.nan, np.float32), metrics=np.full((copies, 0), np.nan),
+    )  # fmt: skip
     observed.alive[0, 1] = False
     observed.observations[0, 1] = np.nan
     return outcome, observed

@@ -63,15 +63,10 @@ class Clock:
         even = self.episodes[:, None] % 2 == 0
         metrics = np.stack([self.episodes, self.episodes % 2], axis=1).astype(np.float64)
         outcome = StepResult(
-            rewards=self.paid,
-            terminated=everyone & ~even,
-            truncated=everyone & even,
-            acting=np.ones_like(everyone),
-            episode_ended=ended,
-            final_observations=final,
-            final_states=final[:, 0, 2:] * 100,
-            metrics=metrics,
-        )
+            rewards=self.paid, terminated=everyone & ~even, truncated=everyone & even,
+            acting=np.ones_like(everyone), episode_ended=ended, final_observations=final,
+            final_states=final[:, 0, 2:] * 100, metrics=metrics,
+        )  # fmt: skip
         self.episodes[ended] += 1
         self.steps[ended] = 0
         return outcome, self._observe()

@@ -21,16 +21,11 @@ INF, FLOAT32 = float("inf"), float(np.finfo(np.float32).max)
 @pytest.mark.parametrize(
     ("bounds", "seen"),
     [
-        ((0.0, 100.0), (-1.0, 1.0)),
-        ((-3.0, 3.0), (-1.0, 1.0)),
-        ((-1.0, 1.0), (-1.0, 1.0)),
-        ((2.0, 2.0), (2.0, 2.0)),
-        ((-INF, 4.0), (-INF, 4.0)),
-        ((0.0, INF), (0.0, INF)),
-        ((-INF, INF), (-INF, INF)),
-        ((-FLOAT32, FLOAT32), (-FLOAT32, FLOAT32)),
+        ((0.0, 100.0), (-1.0, 1.0)), ((-3.0, 3.0), (-1.0, 1.0)), ((-1.0, 1.0), (-1.0, 1.0)),
+        ((2.0, 2.0), (2.0, 2.0)), ((-INF, 4.0), (-INF, 4.0)), ((0.0, INF), (0.0, INF)),
+        ((-INF, INF), (-INF, INF)), ((-FLOAT32, FLOAT32), (-FLOAT32, FLOAT32)),
     ],
-)
+)  # fmt: skip
 def test_policies_act_between_minus_one_and_one_where_both_bounds_are_finite(
     bounds: tuple[float, float], seen: tuple[float, float]
 ) -> None:

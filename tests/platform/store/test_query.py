@@ -100,13 +100,10 @@ def test_newest_keeps_the_last_run_of_a_seed(root: Path) -> None:
 def test_every_frame_has_labels(root: Path) -> None:
     chosen = select(root, study="bus")
     frames = {
-        "runs": (chosen.runs(), 4),
-        "summaries": (chosen.summaries(), 4),
-        "provenance": (chosen.provenance(), 4),
-        "curves": (chosen.curves(), 16),
-        "evaluations": (chosen.evaluations(), 32),
-        "energy": (chosen.energy(), 4),
-    }
+        "runs": (chosen.runs(), 4), "summaries": (chosen.summaries(), 4),
+        "provenance": (chosen.provenance(), 4), "curves": (chosen.curves(), 16),
+        "evaluations": (chosen.evaluations(), 32), "energy": (chosen.energy(), 4),
+    }  # fmt: skip
     for name, (frame, rows) in frames.items():
         assert len(frame) == rows, name
         assert set(frame["controller"]) == {"ippo", "mappo, algo.lr=0.1", "mappo, algo.lr=0.2"}, name

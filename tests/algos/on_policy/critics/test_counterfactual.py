@@ -36,15 +36,9 @@ TEAM_BLIND = replace(DISCRETE, shared_reward=True)
 TEAMS = replace(DISCRETE, shared_in_groups=True)
 BOX = replace(STATE, action_space=Box((-0.5, -1.0), (0.5, 1.0)), has_action_mask=False)
 SETTINGS: dict[str, Any] = {
-    "model": ModelConfig(hidden=(7, 6), actor_gain=0.5),
-    "precision": "float64",
-    "epochs": 2,
-    "minibatches": 2,
-    "lr": 1e-2,
-    "gamma": 0.9,
-    "gae_lambda": 0.7,
-    "piece_samples": 40,
-}
+    "model": ModelConfig(hidden=(7, 6), actor_gain=0.5), "precision": "float64", "epochs": 2,
+    "minibatches": 2, "lr": 1e-2, "gamma": 0.9, "gae_lambda": 0.7, "piece_samples": 40,
+}  # fmt: skip
 COMA = configure("coma", **SETTINGS, target_every=2)
 OTHERS = configure("mappo", **SETTINGS, critic_actions="others")
 LOCAL = configure("ippo", **SETTINGS)

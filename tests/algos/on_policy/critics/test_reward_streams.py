@@ -24,12 +24,9 @@ MAPPO = configure("mappo", **SETTINGS)
 IPPO = configure("ippo", **SETTINGS)
 OTHERS, COMA = replace(MAPPO, critic_actions="others"), configure("coma", **SETTINGS)
 CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
-    "mappo": (MAPPO, BLIND),
-    "others": (OTHERS, BLIND),
-    "others, state": (OTHERS, STATE),
-    "coma": (COMA, BLIND),
-    "coma, state": (COMA, STATE),
-}
+    "mappo": (MAPPO, BLIND), "others": (OTHERS, BLIND), "others, state": (OTHERS, STATE),
+    "coma": (COMA, BLIND), "coma, state": (COMA, STATE),
+}  # fmt: skip
 every_case = pytest.mark.parametrize(("config", "spec"), quick_or_slow(CASES, "others, state"))
 
 

@@ -31,20 +31,10 @@ needs_ray = pytest.mark.skipif(
     find_spec("ray") is None, reason='Ray is not installed: pip install "headway[ray]"'
 )
 TINY = (
-    "env=visitors",
-    "algo=ippo",
-    "energy=off",
-    "seed=3",
-    "rollout.copies=4",
-    "rollout.block=2",
-    "rollout.steps=32",
-    "evaluation.episodes=1",
-    "evaluation.final_episodes=2",
-    "evaluation.rules=[]",
-    "store.checkpoint_every=4",
-    "backend.workers=2",
-    "env_steps=10240",
-)
+    "env=visitors", "algo=ippo", "energy=off", "seed=3", "rollout.copies=4", "rollout.block=2",
+    "rollout.steps=32", "evaluation.episodes=1", "evaluation.final_episodes=2", "evaluation.rules=[]",
+    "store.checkpoint_every=4", "backend.workers=2", "env_steps=10240",
+)  # fmt: skip
 PATIENCE_S = 180.0
 
 
