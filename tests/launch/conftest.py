@@ -7,7 +7,7 @@ from typing import Any
 
 import chromium
 import pytest
-from command_lines import Refused, RowsOf
+from command_lines import Output, Refused, RowsOf, RunOutput
 from warm_training import WarmContext
 
 from headway.config.experiment import EnergyConfig
@@ -60,15 +60,22 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
 
 
 @pytest.fixture
-def rows_of(capsys: pytest.CaptureFixture[str]) -> RowsOf:
-    """Run a command and return the cells of the table that it prints, its header first."""
+def output(capsys: pytest.CaptureFixture[str]) -> RunOutput:
+    """Run a command that succeeds and return what it prints."""
 
-    def rows(*words: str) -> list[list[str]]:
+    def output_of(*words: str) -> Output:
         capsys.readouterr()
-        assert run(words) == 0
-        return [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+        code, printed = run(words), capsys.readouterr()
+        assert code == 0, printed.err
+        return Output(*printed)
 
-    return rows
+    return output_of
+
+
+@pytest.fixture
+def rows_of(output: RunOutput) -> RowsOf:
+    """Run a command and return the cells of the table that it prints, its header first."""
+    return lambda *words: [line.split("\t") for line in output(*words).out.splitlines()]
 
 
 @pytest.fixture

@@ -11,12 +11,12 @@ from textwrap import dedent
 
 import numpy as np
 import pytest
+from command_lines import RunOutput
 from shuttle import SHUTTLE
 from small_runs import SMALL
 
 from headway.contracts import HeadwayError
 from headway_launch.api import run, sweep
-from headway_launch.commands.main import run as run_command
 from headway_launch.console.threads import ONE_THREAD
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.override_words import override_words
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 @pytest.mark.slow
-def test_run_and_sweep_return_their_runs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_and_sweep_return_their_runs(output: RunOutput, capsys: pytest.CaptureFixture[str]) -> None:
     """`run` returns its own runs only, `sweep` also those that had finished before. They equal the runs of
     the commands."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
@@ -45,10 +45,7 @@ def test_run_and_sweep_return_their_runs(capsys: pytest.CaptureFixture[str]) -> 
     # The newer of the two runs of seed 1 counts.
     assert {first.rows[0].run_id, again.rows[0].run_id} < {row.run_id for row in swept.rows}
     assert {name: os.environ.get(name) for name in ONE_THREAD} == before
-    capsys.readouterr()
-    words = [*TINY, "seed=0..1", "algo.lr=1e-3,1e-2"]
-    assert run_command(["sweep", *words]) == 0
-    assert "4 finished and skipped" in capsys.readouterr().err
+    assert "4 finished and skipped" in output("sweep", *TINY, "seed=0..1", "algo.lr=1e-3,1e-2").err
 
 
 def test_python_values_are_those_of_the_command_line() -> None:
@@ -59,12 +56,8 @@ def test_python_values_are_those_of_the_command_line() -> None:
     }  # fmt: skip
     experiment = compose(override_words(keys))
     config = experiment.config
-    assert (config.seed, config.env_steps, config.study, config.device) == (
-        (0, 1, 2),
-        512,
-        "a b, c: d",
-        "cpu",
-    )
+    found = (config.seed, config.env_steps, config.study, config.device)
+    assert found == ((0, 1, 2), 512, "a b, c: d", "cpu")
     assert (experiment.algo_config.lr, experiment.algo_config.model.hidden) == (1e-3, (8, 4))
     assert config.evaluation.rules == ()
     assert config.env.training_args is None
@@ -88,8 +81,8 @@ def test_text_arrives_unchanged(text: str) -> None:
 def test_lists_of_a_sweep_are_values() -> None:
     keys = {
         "env": "trivial", "algo": ["ippo", "mappo"], "algo.lr": np.array([0.1, 0.2]).tolist(), "seed": (3, 4),
+        "algo.model.hidden": [[8], [4, 4]], "study": ["one"],
     }  # fmt: skip
-    keys |= {"algo.model.hidden": [[8], [4, 4]], "study": ["one"]}
     cells = compose_sweep(override_words(keys, sweep=True))
     found = [(each.algo_name, each.algo_config.lr, each.algo_config.model.hidden) for each in cells]
     rates, sizes = (0.1, 0.2), ((8,), (4, 4))
@@ -99,9 +92,8 @@ def test_lists_of_a_sweep_are_values() -> None:
 
 @pytest.mark.parametrize("value", [object(), {1, 2}, [object()], b"bytes"])
 def test_values_that_yaml_cannot_hold_are_one_line(value: object) -> None:
-    with pytest.raises(
-        HeadwayError, match=r"algo.lr cannot be a .*; give None, a number, text, or a list or map"
-    ):
+    line = r"algo.lr cannot be a .*; give None, a number, text, or a list or map"
+    with pytest.raises(HeadwayError, match=line):
         run(*TINY, **{"algo.lr": value})
 
 
@@ -161,9 +153,7 @@ def test_a_script_without_guard_is_interrupted_in_order() -> None:
                 break
         out, rest = script.communicate(timeout=300)
     assert script.returncode == 0, (shown, rest)
-    assert [line for line in out.splitlines() if line in ("script", "interrupted")] == [
-        "script",
-        "interrupted",
-    ]
+    ours = ["script", "interrupted"]
+    assert [line for line in out.splitlines() if line in ours] == ours
     [record] = Path("runs/default").glob("*/run.json")
     assert json.loads(record.read_text())["status"] == "KILLED"

@@ -8,11 +8,10 @@ import shlex
 from pathlib import Path
 
 import pytest
-from command_lines import Refused, RowsOf
+from command_lines import Refused, RowsOf, RunOutput
 
 from headway.registry import env_entry
 from headway.rollout.episodes import evaluate_rule
-from headway_launch.commands.main import run
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
 GAME = ("env=tracking", "env.args.steps=7")
@@ -20,11 +19,10 @@ GAME = ("env=tracking", "env.args.steps=7")
 
 @pytest.mark.parametrize("words", [GAME, ("experiment=toy_tracking", "env.args.steps=7")])
 def test_rules_are_compared_on_the_days_of_an_environment(
-    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], tmp_path: Path, output: RunOutput
 ) -> None:
     asked = ["compare", *words, "--episodes", "4", "--seed", "9", "--metrics", "return,distance"]
-    assert run([*asked, "--format", "csv"]) == 0
-    shown = capsys.readouterr()
+    shown = output(*asked, "--format", "csv")
     rows = {(row["metric"], row["controller"]): row for row in csv.DictReader(shown.out.splitlines())}
     entry = env_entry("tracking")
     prepared = entry.prepare(entry.config(steps=7))
@@ -41,12 +39,10 @@ def test_rules_are_compared_on_the_days_of_an_environment(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_table_has_two_digits_of_the_interval_and_json_all(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_has_two_digits_of_the_interval_and_json_all(output: RunOutput) -> None:
     asked = ["compare", *GAME, "--episodes", "4", "--metrics", "return"]
-    assert run([*asked, "--format", "json"]) == 0
-    exact = {row["controller"]: row for row in json.loads(capsys.readouterr().out)}
-    assert run(asked) == 0
-    shown = csv.DictReader(capsys.readouterr().out.splitlines(), delimiter="\t")
+    exact = {row["controller"]: row for row in json.loads(output(*asked, "--format", "json").out)}
+    shown = csv.DictReader(output(*asked).out.splitlines(), delimiter="\t")
     found = exact["rule random"]
     width = found["95% high"] - found["95% low"]
     unit = 10.0 ** (math.floor(math.log10(width)) - 1)  # of the second digit of the interval's width
@@ -59,12 +55,11 @@ def test_the_table_has_two_digits_of_the_interval_and_json_all(capsys: pytest.Ca
 
 
 @pytest.mark.parametrize("form", ["markdown", "latex"])
-def test_a_table_for_a_page_has_a_row_per_controller(form: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_table_for_a_page_has_a_row_per_controller(form: str, output: RunOutput) -> None:
     asked = ["compare", *GAME, "--episodes", "4", "--metrics", "return,distance"]
-    assert run([*asked, "--format", "json"]) == 0
-    exact = {(row["metric"], row["controller"]): row for row in json.loads(capsys.readouterr().out)}
-    assert run([*asked, "--format", form, "--store", "/lab/runs"]) == 0
-    shown = capsys.readouterr().out
+    listed = json.loads(output(*asked, "--format", "json").out)
+    exact = {(row["metric"], row["controller"]): row for row in listed}
+    shown = output(*asked, "--format", form, "--store", "/lab/runs").out
     assert f"{shlex.join(['headway', *asked])} --format {form} --store FOLDER/runs" in " ".join(shown.split())
     ends = {"markdown": ("|", " |"), "latex": ("&", r" \\")}[form]
     lines = [line for line in shown.splitlines() if line.endswith(ends[1])]
@@ -119,19 +114,15 @@ def test_the_reference_is_played_too_and_no_rule_twice(rows_of: RowsOf) -> None:
     ],
 )
 def test_few_episodes_are_noted_if_an_interval_is_over_them(
-    words: list[str], told: bool, capsys: pytest.CaptureFixture[str]
+    words: list[str], told: bool, output: RunOutput
 ) -> None:
-    assert run(["compare", *GAME, *words]) == 0
-    assert ("play at least 20 before" in capsys.readouterr().err) == told
+    assert ("play at least 20 before" in output("compare", *GAME, *words).err) == told
 
 
-def test_lookahead_is_played_where_it_is_named_and_is_no_reference(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_lookahead_is_played_where_it_is_named_and_is_no_reference(output: RunOutput) -> None:
     """A bus that waits earns less than one that moves; looking one step ahead from waiting finds that out."""
     words = ["env=bus_published", "env.args.scenario=line", "env.args.max_steps=6", "--episodes", "2"]
-    assert run(["compare", *words, "--rules", "always_wait,lookahead:always_wait:2:1"]) == 0
-    shown = capsys.readouterr()
+    shown = output("compare", *words, "--rules", "always_wait,lookahead:always_wait:2:1")
     header, *rows = csv.reader(shown.out.splitlines(), delimiter="\t")
     assert header[4] == "minus always_wait"
     assert [row[1] for row in rows] == ["rule always_wait", "rule lookahead:always_wait:2:1"]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from command_lines import Refused
+from command_lines import Refused, RunOutput
 
 from headway.store.atomic_files import write_json, write_text
 from headway.store.parquet_log import RunLog
@@ -44,11 +44,8 @@ def runs(empty_folder: Path) -> list[str]:
     return names
 
 
-def test_csv_has_a_file_per_table_with_the_unit_of_each_column(
-    runs: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["convert", "lines", "--to", "csv"]) == 0
-    assert capsys.readouterr().out == "csv-lines\n"
+def test_csv_has_a_file_per_table_with_the_unit_of_each_column(runs: list[str], output: RunOutput) -> None:
+    assert output("convert", "lines", "--to", "csv").out == "csv-lines\n"
     tables = {file.stem: pd.read_csv(file) for file in Path("csv-lines").glob("*.csv")}
     assert set(tables) == {"runs", "curves", "episodes", "columns"}
     curves = tables["curves"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_lines import Refused, RowsOf
+from command_lines import Refused, RowsOf, RunOutput
 from kept_policies import keep_run_on
 
 from headway.api import Policy, child_seeds, load_policy
@@ -57,12 +57,9 @@ def made(origin: Mapping[str, Any]) -> Any:  # noqa: ANN401 - a PettingZoo Paral
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_file_alone_has_the_mean_return_of_evaluate(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_alone_has_the_mean_return_of_evaluate(kind: str, tmp_path: Path, output: RunOutput) -> None:
     folder = keep_run_on(tmp_path / "runs", KINDS[kind])
-    assert run(["export", folder.name, "--output", "policy.npz"]) == 0
-    captured = capsys.readouterr()
+    captured = output("export", folder.name, "--output", "policy.npz")
     assert captured.out == "policy.npz\n"
     assert "observations of the training environment" in captured.err
     policy, stored = load_policy("policy.npz"), StoredRun.read(tmp_path / "runs", folder)
@@ -108,7 +105,7 @@ def test_other_formats_are_written_and_read(form: str, name: str, tmp_path: Path
 
 
 def test_without_the_environment_random_observations_are_compared(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = keep_run_on(tmp_path / "runs", KINDS["shared with masks"])
 
@@ -116,8 +113,7 @@ def test_without_the_environment_random_observations_are_compared(
         raise HeadwayError("its data are elsewhere")
 
     monkeypatch.setattr(Experiment, "prepare", prepare)
-    assert run(["export", folder.name]) == 0
-    assert "observations drawn at random (its data are elsewhere)" in capsys.readouterr().err
+    assert "observations drawn at random (its data are elsewhere)" in output("export", folder.name).err
     assert load_policy(f"{folder.name}.npz").agents[0] == "visitor_0"
 
 

@@ -10,7 +10,7 @@ from typing import NoReturn
 
 import numpy as np
 import pytest
-from command_lines import Refused, RowsOf
+from command_lines import Refused, RowsOf, RunOutput
 
 from headway.config.schema import describe
 from headway.registry import env_entries, env_entry
@@ -69,9 +69,8 @@ def test_errors_are_one_line_with_the_fix_and_exit_code_2(
 @pytest.mark.parametrize(
     "command", ["run", "sweep", "resume", "runs", "evaluate", "compare", "plot", "report", "browse", "list"]
 )
-def test_every_help_shows_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run([command, "--help"]) == 0
-    shown = capsys.readouterr().out
+def test_every_help_shows_examples(command: str, output: RunOutput) -> None:
+    shown = output(command, "--help").out
     assert f"usage: headway {command}" in shown
     assert "examples:" in shown
 
@@ -119,9 +118,8 @@ def test_debug_shows_the_traceback() -> None:
         run(["--debug", "rnu"])
 
 
-def test_an_empty_store_has_no_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["runs", "--store", str(tmp_path), "--format", "json"]) == 0
-    assert json.loads(capsys.readouterr().out) == []
+def test_an_empty_store_has_no_runs(tmp_path: Path, output: RunOutput) -> None:
+    assert json.loads(output("runs", "--store", str(tmp_path), "--format", "json").out) == []
 
 
 @pytest.mark.parametrize("command", [compare, evaluate], ids=["compare", "evaluate"])
@@ -136,15 +134,12 @@ def test_examples_name_existing_rules(command: ModuleType) -> None:
         assert {rule for names in named for rule in names.split(",")} <= set(there), example
 
 
-def test_environments_that_a_file_makes_of_others_are_listed(
-    rows_of: RowsOf, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_environments_that_a_file_makes_of_others_are_listed(rows_of: RowsOf, output: RunOutput) -> None:
     """All that `env=` takes by name."""
     rules = {name: own for name, _, own in rows_of("list", "envs")}
     assert "virtual_signal_0.5" in rules["intersection"]
     assert rules["intersection_paper"] == rules["intersection"]
-    assert run(["list", "envs", "intersection_paper"]) == 0
-    assert "id: intersection\n" in capsys.readouterr().out
+    assert "id: intersection\n" in output("list", "envs", "intersection_paper").out
 
 
 def test_a_command_whose_reader_has_gone_ends_quietly() -> None:
@@ -189,9 +184,8 @@ def test_an_environment_that_ends_the_program_is_an_error(
     assert line.startswith(f"headway: the environment's code called sys.exit({given!r}); raise an error")
 
 
-def test_the_help_of_realism_offers_no_scenario_that_it_refuses(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["data", "realism", "--help"]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
+def test_the_help_of_realism_offers_no_scenario_that_it_refuses(output: RunOutput) -> None:
+    shown = " ".join(output("data", "realism", "--help").out.split())
     assert "folder with recorded trips" in shown
     assert "--seed" not in shown
     assert "corridor" not in shown
@@ -270,12 +264,11 @@ def test_a_lack_of_memory_is_one_line_that_says_what_to_lower(
     ],
 )
 def test_an_environment_without_listed_arguments_says_why(
-    parameters: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    parameters: str, says: str, tmp_path: Path, output: RunOutput
 ) -> None:
     file = tmp_path / "quay.py"
     file.write_text(f"def parallel_env({parameters}):\n    raise NotImplementedError\n")
-    assert run(["list", "envs", str(file)]) == 0
-    assert capsys.readouterr().err == f"{file} {says}\n"
+    assert output("list", "envs", str(file)).err == f"{file} {says}\n"
 
 
 def test_a_second_experiment_is_refused_without_a_notice(capsys: pytest.CaptureFixture[str]) -> None:

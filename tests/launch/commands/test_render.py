@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_lines import Refused
+from command_lines import Refused, RunOutput
 from PIL import Image
 from small_runs import SMALL
 
@@ -234,11 +234,10 @@ def test_where_nothing_can_be_written_nothing_is_played(
 
 
 def test_a_terminal_is_told_how_far_an_episode_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, output: RunOutput
 ) -> None:
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    assert run(["render", *IDLE, "--output", str(tmp_path / "a.gif")]) == 0
-    told = capsys.readouterr().err
+    told = output("render", *IDLE, "--output", str(tmp_path / "a.gif")).err
     assert "steps played: " in told
     assert "frames written: 5 of 5" in told
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_lines import Refused
+from command_lines import Refused, RunOutput
 from small_runs import SMALL, end_as
 
 from headway.config.experiment import StoreConfig
@@ -34,7 +34,7 @@ def _runs() -> list[RunRow]:
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", ["serial", "process"])
 def test_one_of_several_seeds_goes_on_alone(
-    backend: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    backend: str, output: RunOutput, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Side by side each seed had one core, and alone it would have both."""
     assert run(["run", *TINY, f"backend={backend}", "seed=0,1"]) == 0
@@ -43,8 +43,7 @@ def test_one_of_several_seeds_goes_on_alone(
     shown: list[tuple[str, ...]] = []
     monkeypatch.setattr(Progress, "show", lambda progress: shown.append(progress._jobs[0].cells()))
     summary = json.loads(Path(first.directory, "summary.json").read_text())
-    capsys.readouterr()
-    assert run(["resume", first.run_id]) == 0, capsys.readouterr().err
+    output("resume", first.run_id)
     assert [row.status for row in _runs()] == ["FINISHED", "FINISHED"]
     again = json.loads(Path(first.directory, "summary.json").read_text())
     assert again["final_reward"] == summary["final_reward"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from command_lines import Refused, RowsOf
+from command_lines import Refused, RowsOf, RunOutput
 
 from headway.store.parquet_log import RunLog
 from headway.store.run_folder import Process, RunRecord, create_run_folder, now
@@ -75,12 +75,9 @@ def test_conditions_and_order(
     assert seeds(capsys) == expected
 
 
-def test_lines_of_csv_end_as_those_of_other_commands_do(
-    store: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lines_of_csv_end_as_those_of_other_commands_do(store: Path, output: RunOutput) -> None:
     """`cut`, `sort` and `while read` take a carriage return for a part of the last column."""
-    assert run(["runs", "--store", str(store), "--format", "csv"]) == 0
-    told = capsys.readouterr().out
+    told = output("runs", "--store", str(store), "--format", "csv").out
     assert told.count("\n") == 5
     assert "\r" not in told
 
@@ -94,21 +91,19 @@ def _learning_rates_differ(store: Path) -> None:
         replace(record, parameters={**record.parameters, "algo.lr": text}).write(new)
 
 
-def test_what_a_sweep_varied_has_a_column(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_sweep_varied_has_a_column(store: Path, output: RunOutput) -> None:
     """The two ippo cells differ in algo.lr; mappo, which has one cell, shows its own value there."""
     _learning_rates_differ(store)
-    assert run(["runs", "--store", str(store), "--format", "csv"]) == 0
-    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    rows = list(csv.DictReader(io.StringIO(output("runs", "--store", str(store), "--format", "csv").out)))
     assert {row["seed"]: row["algo.lr"] for row in rows} == {
         "0": "3e-05", "1": "0.001", "2": "0.001", "3": "0.001",
     }  # fmt: skip
     assert "algo.core" not in rows[0]
-    assert run(["runs", "--store", str(store), "--algo", "mappo"]) == 0
-    assert "algo.lr" not in capsys.readouterr().out
+    assert "algo.lr" not in output("runs", "--store", str(store), "--algo", "mappo").out
 
 
 def test_a_run_whose_record_broke_is_listed_without_its_parameters(
-    store: Path, rows_of: RowsOf, capsys: pytest.CaptureFixture[str]
+    store: Path, rows_of: RowsOf, output: RunOutput
 ) -> None:
     """The index keeps what it read before; the other ippo run has then no cell to differ from."""
     _learning_rates_differ(store)
@@ -117,15 +112,12 @@ def test_a_run_whose_record_broke_is_listed_without_its_parameters(
     [record] = store.glob("bus/*-s1-*/run.json")
     record.write_text(record.read_text()[:40])
     assert "algo.lr" not in rows_of(*words)[0]
-    capsys.readouterr()
-    assert run([*words, "--format", "csv", "--columns", "seed,status,algo.lr"]) == 0
-    listed, notice = capsys.readouterr()
+    listed, notice = output(*words, "--format", "csv", "--columns", "seed,status,algo.lr")
     assert listed.splitlines()[1:] == [
         "0,FINISHED,3e-05", "1,FINISHED,", "2,KILLED,0.001", "3,FINISHED,0.001",
     ]  # fmt: skip
     assert str(record) in notice
-    assert run([*words, "--format", "json"]) == 0
-    parameters = [row["parameters"] for row in json.loads(capsys.readouterr().out)]
+    parameters = [row["parameters"] for row in json.loads(output(*words, "--format", "json").out)]
     assert [own.get("algo.lr") for own in parameters] == [3e-05, None, 0.001, 0.001]
 
 
@@ -137,9 +129,8 @@ def test_chosen_columns(store: Path, rows_of: RowsOf, capsys: pytest.CaptureFixt
     assert json.loads(capsys.readouterr().out)[1] == {"seed": 1, "algo.core": "gru", "final_reward": 355.5}
 
 
-def test_json_has_the_parameters(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["runs", "--store", str(store), "--format", "json"]) == 0
-    first = json.loads(capsys.readouterr().out)[0]
+def test_json_has_the_parameters(store: Path, output: RunOutput) -> None:
+    first = json.loads(output("runs", "--store", str(store), "--format", "json").out)[0]
     assert first["parameters"] == {"algo.lr": 3e-05, "algo.core": "gru"}
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from command_lines import Refused, RowsOf
+from command_lines import Refused, RowsOf, RunOutput
 
 from headway.stats.best_of import expected_best
 from headway.store.index import RunIndex
@@ -79,12 +79,9 @@ def test_its_preset_trains_as_the_best_candidate(searched: Searched) -> None:
 
 
 @pytest.mark.slow
-def test_a_search_given_again_or_shown_trains_nothing(
-    searched: Searched, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_search_given_again_or_shown_trains_nothing(searched: Searched, output: RunOutput) -> None:
     for option in ((), ("--show",)):
-        assert run(["search", *SMALL, f"store.root={searched.root}", *option]) == 0
-        assert capsys.readouterr().out == searched.out
+        assert output("search", *SMALL, f"store.root={searched.root}", *option).out == searched.out
     assert len(RunIndex(searched.root).rows("search_toy_tracking")) == 8
 
 
@@ -103,11 +100,8 @@ def test_a_study_is_drawn(searched: Searched, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_cells_and_rules_are_compared_on_the_same_days(
-    searched: Searched, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["compare", "search_toy_tracking", "--store", str(searched.root), "--episodes", "4"]) == 0
-    shown = capsys.readouterr()
+def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched, output: RunOutput) -> None:
+    shown = output("compare", "search_toy_tracking", "--store", str(searched.root), "--episodes", "4")
     header, *rows = [line.split("\t") for line in shown.out.splitlines() if "\t" in line]
     assert (header[4], header[7]) == ("minus optimal", "interval")
     assert {"rule random", "rule optimal"} < {row[1] for row in rows}

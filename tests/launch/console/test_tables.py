@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_lines import RowsOf
+from command_lines import RowsOf, RunOutput
 
 from headway.store.run_folder import Process, RunRecord, create_run_folder, now
 from headway_launch.commands.main import run as run_command
@@ -102,10 +102,9 @@ def test_runs_keep_identity_status_and_result_whole(width: int, store: Path, lin
         assert re.search(r"│ mappo +│", row)
 
 
-def test_runs_name_the_columns_left_out(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_name_the_columns_left_out(store: Path, output: RunOutput) -> None:
     """The names are those that --columns takes; a column in which no run has a value is not missed."""
-    assert run_command(["runs", "--store", str(store)]) == 0
-    shown, note = capsys.readouterr()
+    shown, note = output("runs", "--store", str(store))
     assert shown.splitlines()[0].split("\t") == [
         "run", "study", "algorithm", "seed", "status", "env steps", "final reward", "AUC (own range)",
         "CPU s", "kWh",
@@ -116,18 +115,16 @@ def test_runs_name_the_columns_left_out(store: Path, capsys: pytest.CaptureFixtu
         "(choose with --columns; --format csv has all)\n"
     )
     named = "environment,policies,iterations,kg_co2"
-    assert run_command(["runs", "--store", str(store), "--columns", named]) == 0
-    shown, note = capsys.readouterr()
+    shown, note = output("runs", "--store", str(store), "--columns", named)
     assert shown.splitlines()[1].split("\t") == ["bus", "shared", "147", "2.34568e-06"]
     assert note == ""
 
 
 def test_runs_call_the_auc_what_it_is_and_csv_has_fields_and_all_digits(
-    store: Path, rows_of: RowsOf, capsys: pytest.CaptureFixture[str]
+    store: Path, rows_of: RowsOf, output: RunOutput
 ) -> None:
     header, row = rows_of("runs", "--store", str(store))
     assert row[header.index("AUC (own range)")] == "0.333333"
-    assert run_command(["runs", "--store", str(store), "--format", "csv"]) == 0
-    [fields] = csv.DictReader(io.StringIO(capsys.readouterr().out))
+    [fields] = csv.DictReader(io.StringIO(output("runs", "--store", str(store), "--format", "csv").out))
     assert float(fields["auc"]) == 1 / 3
     assert float(fields["final_reward"]) == 2 / 3

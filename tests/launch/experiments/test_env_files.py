@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from command_lines import Refused, RowsOf
+from command_lines import Refused, RowsOf, RunOutput
 from shuttle import SHUTTLE
 from small_runs import SMALL, end_as
 
@@ -30,12 +30,11 @@ def _runs() -> list[RunRow]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("_file")
 def test_a_run_finds_its_file_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, refused: Refused
+    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     """The file is found from another folder. An edited file is another cell; if the file was removed, only
     commands that play it are refused."""
-    assert run(SWEEP) == 0
-    shown = capsys.readouterr()
+    shown = output(*SWEEP)
     assert "imported" in shown.err
     assert "imported" not in shown.out
     [first] = _runs()
@@ -50,15 +49,13 @@ def test_a_run_finds_its_file_again(
     end_as(first.directory)
     assert run(["resume", first.run_id, store]) == 0
     evaluate = ["evaluate", first.run_id, "--episodes=1", store]
-    assert run(evaluate) == 0
-    shown = capsys.readouterr()
+    shown = output(*evaluate)
     assert "has changed" not in shown.err
     # Each of 5 steps pays 1 and 2: see SHUTTLE.
     assert "return\t7.5\t7.5\n" in shown.out
 
     file.write_text(SHUTTLE.replace("FARE = 1.0", "FARE = 3.0"))
-    assert run(evaluate) == 0
-    shown = capsys.readouterr()
+    shown = output(*evaluate)
     assert f"headway: {file} has changed since the run was started" in shown.err
     assert "return\t22.5\t22.5\n" in shown.out
     end_as(first.directory)
@@ -67,8 +64,7 @@ def test_a_run_finds_its_file_again(
         assert f"{file} has changed since its digest" in refused(*words)
     end_as(first.directory, "FINISHED")
     monkeypatch.chdir(tmp_path)
-    assert run(SWEEP) == 0
-    assert "has changed" not in capsys.readouterr().err
+    assert "has changed" not in output(*SWEEP).err
     one, other = _runs()
     assert one.cell != other.cell
 
@@ -78,7 +74,7 @@ def test_a_run_finds_its_file_again(
         assert f"env.id={file}: there is no such file; if a run used it, restore" in refused(*words)
     end_as(first.directory, "FINISHED")
     for words in (["runs"], ["report", "own", "--output", "page"], ["diff", one.run_id, other.run_id]):
-        assert run(words) == 0, capsys.readouterr().err
+        output(*words)
     assert "shuttle.py, env.file_digest=" in Path("page/report.html").read_text()
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from command_lines import Refused, RowsOf
+from command_lines import Refused, RowsOf, RunOutput
 from small_runs import SMALL, end_as
 
 from headway.config.experiment import StoreConfig
@@ -214,10 +214,9 @@ def test_training_arguments_reach_the_training_environment_only(monkeypatch: pyt
     ids=["twins", "padded", "Box"],
 )
 def test_a_pettingzoo_environment_trains_with_a_random_rule(
-    overrides: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+    overrides: tuple[str, ...], output: RunOutput
 ) -> None:
-    assert run(["run", *overrides, *TINY, "evaluation.rules=[random]"]) == 0, capsys.readouterr().err
-    shown = capsys.readouterr().out
+    shown = output("run", *overrides, *TINY, "evaluation.rules=[random]").out
     assert "FINISHED" in shown
     assert "rule random" in shown
 
@@ -247,7 +246,7 @@ def test_the_cost_of_a_wrapper_without_a_batched_form_is_printed_once(
 
 @pytest.mark.slow
 def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    output: RunOutput, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Stacked frames are in the checkpoint: the curve is that of an uninterrupted run."""
     assert run(["run", "env=visitors", STACK, *TINY]) == 0
@@ -255,15 +254,12 @@ def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
     directory = Path(row.directory)
     curves = [f"{group}/return" for group in ("training", "evaluation_greedy", "evaluation_sampled")]
     before = [read_curve(directory, name) for name in curves]
-    newest = sorted((directory / CHECKPOINTS).iterdir())[-1]
-    newest.unlink()
+    sorted((directory / CHECKPOINTS).iterdir())[-1].unlink()
     end_as(directory)
-    assert run(["resume", row.run_id]) == 0, capsys.readouterr().err
+    output("resume", row.run_id)
     assert [read_curve(directory, name) for name in curves] == before
-    capsys.readouterr()
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    assert run(["evaluate", row.run_id, "--episodes", "2"]) == 0
-    shown, notices = capsys.readouterr()
+    shown, notices = output("evaluate", row.run_id, "--episodes", "2")
     assert "episodes played: 6 of 6 (rule " in notices
     assert "episodes played" not in shown
     assert "rule optimal" in shown
@@ -272,17 +268,15 @@ def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
 
 @pytest.mark.slow
 def test_cells_with_different_training_environments_are_compared(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    output: RunOutput, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """They differ by training arguments and by a reward wrapper. The progress counts episodes of rules, cells
     and their seeds."""
     for words in (("env.wrappers=[clip_reward_v0]",), ("seed=0,1",), ("env.training_args.steps=9",)):
-        assert run(["run", "env=trivial", *TINY, "env.args.agents=2", *words]) == 0, capsys.readouterr().err
-    capsys.readouterr()
+        output("run", "env=trivial", *TINY, "env.args.agents=2", *words)
     with monkeypatch.context() as terminal:
         terminal.setattr("sys.stderr.isatty", lambda: True, raising=False)
-        assert run(["compare", "default", "--episodes", "2"]) == 0, capsys.readouterr().err
-    shown, notices = capsys.readouterr()
+        shown, notices = output("compare", "default", "--episodes", "2")
     assert "episodes played: 12 of 12 (" in notices  # two rules and four seeds
     assert "episodes played" not in shown
     rows = [line.split("\t") for line in shown.splitlines() if "\t" in line]
@@ -291,24 +285,20 @@ def test_cells_with_different_training_environments_are_compared(
     assert any("env.training_args.steps=9" in cell for cell in cells)
     assert sum("clip_reward_v0" in cell for cell in cells) == 1
     assert run(["run", "env=trivial", *TINY, "env.args.agents=3"]) == 0
-    capsys.readouterr()
-    assert run(["compare", "default", "--episodes", "2"]) == 2
-    error = capsys.readouterr().err
+    error = refused("compare", "default", "--episodes", "2")
     assert "holds several environments, which differ in env.args.agents (3, 2): choose one, such as" in error
     assert run(["compare", "default", "--episodes", "2", "--where", "env.args.agents=2"]) == 0
 
 
 @pytest.mark.slow
 def test_rules_whose_inputs_wrappers_hide_are_left_out_in_one_line(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    output: RunOutput, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hiding = "env.wrappers=[{name: max_observation_v0, memory: 2}]"
     assert run(["run", "env=trivial", hiding, *TINY, "evaluation.rules=[random]"]) == 0
-    capsys.readouterr()
     name = _runs()[0].run_id
     for words in (["compare", "default"], ["evaluate", name]):
-        assert run([*words, "--episodes", "2"]) == 0, capsys.readouterr().err
-        printed = capsys.readouterr()
+        printed = output(*words, "--episodes", "2")
         assert "rule random" in printed.out
         assert "rule optimal" not in printed.out
         [line] = [line for line in printed.err.splitlines() if "optimal" in line]

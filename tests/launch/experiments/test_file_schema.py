@@ -9,10 +9,9 @@ from typing import Any
 
 import pytest
 import yaml
-from command_lines import Refused
+from command_lines import Refused, RunOutput
 from jsonschema import Draft7Validator
 
-from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.file_schema import FILE_KINDS, file_schema
 from headway_launch.experiments.parameters import full_mapping
@@ -125,15 +124,12 @@ def test_keys_have_types_choices_defaults_and_descriptions() -> None:
     assert model["core"]["enum"] == ["none", "gru"]
 
 
-def test_the_users_files_are_known(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
-) -> None:
+def test_the_users_files_are_known(tmp_path: Path, output: RunOutput, refused: Refused) -> None:
     for name, text in {"env/small": "{id: trivial}", "preset/mine": "{mappo: {}}"}.items():
         file = tmp_path / f"{name}.yaml"
         file.parent.mkdir(exist_ok=True)
         file.write_text(text)
-    assert run(["list", "schema", "--config-dir", str(tmp_path)]) == 0
-    schema = Draft7Validator(json.loads(capsys.readouterr().out))
+    schema = Draft7Validator(json.loads(output("list", "schema", "--config-dir", str(tmp_path)).out))
     mine = {"defaults": [{"override /env": "small"}], "preset": "mine", "env": {"args": {"agents": 2}}}
     assert schema.is_valid(mine)
     assert not schema.is_valid({**mine, "env": {"args": {"agenst": 2}}})
@@ -141,11 +137,8 @@ def test_the_users_files_are_known(
     assert "small.yaml is not valid YAML" in refused("list", "schema", "--config-dir", str(tmp_path))
 
 
-def test_the_command_prints_it_and_refuses_other_kinds(
-    capsys: pytest.CaptureFixture[str], refused: Refused
-) -> None:
-    assert run(["list", "schema"]) == 0
-    assert json.loads(capsys.readouterr().out)["title"] == "Headway: experiment"
+def test_the_command_prints_it_and_refuses_other_kinds(output: RunOutput, refused: Refused) -> None:
+    assert json.loads(output("list", "schema").out)["title"] == "Headway: experiment"
     assert refused("list", "schema", "presets").startswith(
         "headway: there is no schema of 'presets'; did you mean preset?"
     )

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from command_lines import Refused, RowsOf
+from command_lines import Refused, RowsOf, RunOutput
 from small_runs import SMALL
 
 from headway.config.schema import plain
@@ -155,7 +155,7 @@ def test_a_preset_of_a_folder_that_was_not_given_is_named_with_it(
 
 
 @pytest.mark.slow
-def test_a_stored_configuration_trains_again(folder: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stored_configuration_trains_again(folder: str, output: RunOutput) -> None:
     """It trains in the same cell, also if its preset no longer exists, and with other values."""
     words = ["experiment=ours", *SMALL, "env.args.steps=8"]
     assert run(["run", "--config-dir", folder, *words, "seed=3"]) == 0
@@ -170,13 +170,11 @@ def test_a_stored_configuration_trains_again(folder: str, capsys: pytest.Capture
     assert plain(again.config.rollout) == mapping["rollout"]
     assert lr(again) == 0.002
     assert lr(compose([stored, "algo.lr=0.5"])) == 0.5
-    assert run(["run", stored, "seed=4"]) == 0, capsys.readouterr().err
+    output("run", stored, "seed=4")
     assert len({row.cell for row in RunIndex(Path("runs")).rows()}) == 1
 
 
-def test_a_folder_adds_to_all_commands_that_compose(
-    folder: str, rows_of: RowsOf, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_adds_to_all_commands_that_compose(folder: str, rows_of: RowsOf, output: RunOutput) -> None:
     with own_configs(folder):
         experiment = compose(["experiment=ours"])
         assert (experiment.config.preset, lr(experiment)) == ("quick", 0.002)
@@ -187,12 +185,10 @@ def test_a_folder_adds_to_all_commands_that_compose(
         assert [each.config.preset for each in swept] == ["quick", "none"]
     option = f"--config-dir={folder}"
     assert ["ours", "Trains quickly."] in rows_of("list", "experiments", option)
-    assert run(["list", "presets", "quick", option]) == 0
-    assert capsys.readouterr().out == QUICK
+    assert output("list", "presets", "quick", option).out == QUICK
     assert ["ours", "Trains quickly."] not in rows_of("list", "experiments")
     words = ("--slurm", "--cpus=2", "seed=0", f"store.root={Path.cwd()}")
-    assert run(["sweep", "experiment=ours", option, *words, "--array"]) == 0
-    script = Path(capsys.readouterr().out.strip()).read_text()
+    script = Path(output("sweep", "experiment=ours", option, *words, "--array").out.strip()).read_text()
     assert f"--config-dir={Path(folder).resolve()}" in script
 
 

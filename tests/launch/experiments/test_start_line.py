@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from command_lines import RunOutput
 from small_runs import SMALL
 
 from headway.store.parquet_log import read_rows
@@ -42,26 +43,22 @@ def test_the_imitated_policy_is_given_beside_its_rule(root: Path) -> None:
     )
 
 
-def test_the_parent_is_named_with_its_cost(
-    root: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_parent_is_named_with_its_cost(root: Path, output: RunOutput, tmp_path: Path) -> None:
     [parent] = (root / "default").glob("*-s0-*")
     seconds = json.loads((parent / "summary.json").read_text())["cpu_seconds"]
     words = (
         f"ippo started from run {parent.name} (ippo on trivial), whose 192 steps, {seconds:.4g} CPU s are not"
     )
-    assert run(["compare", "children", "--store", str(root), "--episodes", "2"]) == 0
-    out, err = capsys.readouterr()
+    out, err = output("compare", "children", "--store", str(root), "--episodes", "2")
     assert words in out + err
     assert run(["report", "children", "--store", str(root), "--out", str(tmp_path)]) == 0
     assert words in re.sub(r"\s+", " ", (tmp_path / "report.html").read_text())
 
 
-def test_the_run_that_starts_from_another_says_so(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_run_that_starts_from_another_says_so(root: Path, output: RunOutput) -> None:
     [parent] = (root / "default").glob("*-s1-*")
     words = ["env=trivial", "algo=ippo", "backend=serial", *SMALL, f"store.root={root}", "study=cousins"]
-    assert run(["run", *words, "seed=5", f"start.run={parent.name}"]) == 0
-    out, err = capsys.readouterr()
+    out, err = output("run", *words, "seed=5", f"start.run={parent.name}")
     assert f"ippo started from run {parent.name} (ippo on trivial), whose 192 steps" in out + err
 
 
@@ -87,11 +84,10 @@ def test_a_parent_that_was_deleted_is_no_error(root: Path, tmp_path: Path) -> No
     assert line.endswith("which is no longer in the store")
 
 
-def test_stages_are_named_with_what_they_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_stages_are_named_with_what_they_change(tmp_path: Path, output: RunOutput) -> None:
     words = ["env=tracking", "algo=ippo", "backend=serial", *SMALL, f"store.root={tmp_path}", "seed=0"]
     stages = "stages=[{env_steps: 60, training_args: {noise: 0.01, effort: 0.2}}, {env_steps: 120}]"
-    assert run(["run", *[word for word in words if not word.startswith("env_steps")], stages]) == 0
-    out, err = capsys.readouterr()
+    out, err = output("run", *[word for word in words if not word.startswith("env_steps")], stages)
     line = "ippo was trained in stages: 64 steps with noise=0.01 and effort=0.2, then 128 steps"
     assert line in out + err
     assert run(["report", "default", "--store", str(tmp_path), "--out", str(tmp_path / "page")]) == 0

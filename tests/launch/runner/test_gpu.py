@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from command_lines import RunOutput
 from gpu import needs_gpu
 from small_runs import SMALL, end_as
 
@@ -34,12 +35,10 @@ def test_a_session_trains_a_stack_of_seeds_on_a_gpu_and_resumes_it(backend: str,
 
 
 def test_what_a_gpu_imitated_and_trained_is_the_start_of_another_run_and_is_evaluated(
-    empty_folder: Path, capsys: pytest.CaptureFixture[str]
+    empty_folder: Path, output: RunOutput
 ) -> None:
     by_rule = ["start.rule=optimal", "start.env_steps=640", "env_steps=704"]
     assert run(["run", *TINY, *by_rule, "backend=serial"]) == 0
     (parent,) = RunIndex(Path(StoreConfig().root)).rows()
     assert run(["run", *TINY, f"start.run={parent.run_id}", "backend=serial", "study=next"]) == 0
-    capsys.readouterr()
-    assert run(["evaluate", parent.run_id, "--episodes", "2"]) == 0
-    assert "return" in capsys.readouterr().out
+    assert "return" in output("evaluate", parent.run_id, "--episodes", "2").out

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_lines import Refused, RowsOf
+from command_lines import Refused, RowsOf, RunOutput
 from small_runs import SMALL, end_as
 
 from headway.api import load_policy
@@ -98,7 +98,7 @@ def test_a_run_acts_in_scaled_units_and_a_study_keeps_one_kind(capsys: pytest.Ca
 
 
 def test_the_best_policy_is_played_and_exported_in_the_place_of_the_newest(
-    capsys: pytest.CaptureFixture[str], rows_of: RowsOf, refused: Refused
+    output: RunOutput, rows_of: RowsOf, refused: Refused
 ) -> None:
     """The best policies are replaced by others than the newest, so that what is taken shows."""
     assert run(list(TINY)) == 0
@@ -120,13 +120,10 @@ def test_the_best_policy_is_played_and_exported_in_the_place_of_the_newest(
     assert evaluated["metric"].endswith("greedy, best policy (iteration 2)")
     assert float(evaluated["return"]) == pytest.approx(mean, rel=1e-4)
     asked = ["compare", stored.record.study, "--best", "--episodes", "3", "--rules", "random"]
-    capsys.readouterr()
-    assert run([*asked, "--format", "json"]) == 0
-    learner = json.loads(capsys.readouterr().out)[1]
+    learner = json.loads(output(*asked, "--format", "json").out)[1]
     assert learner["controller"].endswith(", best policies")
     assert learner["mean"] == pytest.approx(mean, rel=1e-6)
-    assert run(["export", name, "--best"]) == 0
-    assert "best policy, of iteration 2" in capsys.readouterr().err
+    assert "best policy, of iteration 2" in output("export", name, "--best").err
     Path(f"{name}-best.npz").rename("best.npz")
     by_file, by_folder = load_policy("best.npz"), load_policy(stored.directory, best=True)
     assert by_file.origin["iteration"] == by_folder.origin["iteration"] == 2

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_lines import RunOutput
 from stored_runs import keep_run
 
 from headway.energy.ledger import Energy, JobUsage
@@ -52,7 +53,7 @@ def test_the_cost_of_a_job_is_start_iterations_and_evaluations() -> None:
 
 @pytest.mark.slow
 def test_a_dry_run_lists_estimates_and_keeps_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     finished: list[JobUsage] = []
     started: list[TrainingProcess] = []
@@ -75,8 +76,7 @@ def test_a_dry_run_lists_estimates_and_keeps_nothing(
         "env_steps=1e6", "backend=serial", "backend.parallel=2", "energy=off", "evaluation.episodes=1",
         f"store.root={tmp_path / 'runs'}",
     )  # fmt: skip
-    assert run([*sweep, "--dry-run"]) == 0
-    shown = capsys.readouterr()
+    shown = output(*sweep, "--dry-run")
     listed, estimated = shown.out.split("\n\n")[:2]
     header, *rows = [line.split("\t") for line in listed.splitlines()]
     assert header == ["cell", "iteration", "seeds", "runs", "action"]
@@ -111,11 +111,10 @@ def _measured(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("_measured")
-def test_run_has_a_dry_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_has_a_dry_run(tmp_path: Path, output: RunOutput) -> None:
     root = tmp_path / "runs"
     words = ("run", "env=trivial", "algo=ippo", "env_steps=2048", "energy=off", f"store.root={root}")
-    assert run([*words, "--dry-run"]) == 0
-    shown = capsys.readouterr().out
+    shown = output(*words, "--dry-run").out
     assert shown.startswith("cell\titeration\tseeds\truns\taction\n")
     assert "\ttrain\n" in shown
     assert "Estimated from an evaluation and at least 6 iterations" in shown
@@ -139,22 +138,19 @@ def test_the_dry_run_of_a_search_tells_its_budget_and_cost(
 
 
 @pytest.mark.usefixtures("_measured")
-def test_the_estimate_explains_stacks_and_the_place_of_measurement(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_estimate_explains_stacks_and_the_place_of_measurement(tmp_path: Path, output: RunOutput) -> None:
     words = [
         "sweep", "env=trivial", "algo=ippo", "seed=0..4", "rollout.steps=16", "env_steps=1e6", "energy=off",
         "backend=ray", "backend.workers=1", "backend.parallel=1", "backend.stack=3", "evaluation.episodes=1",
         f"store.root={tmp_path / 'runs'}",
     ]  # fmt: skip
-    assert run([*words, "--dry-run"]) == 0
-    shown = capsys.readouterr().out
+    shown = output(*words, "--dry-run").out
     assert "5 runs in 2 jobs: a job trains up to 3 seeds at once (backend.stack)" in shown
     assert "It was measured on this machine; on a cluster" in shown
 
 
 def test_a_cell_with_finished_runs_costs_their_mean_and_is_not_measured(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ["sweep", "env=trivial", "algo=ippo", "study=toys", "env_steps=2048", "energy=off",
              "backend=serial", "backend.parallel=1", f"store.root={tmp_path}"]  # fmt: skip
@@ -162,8 +158,7 @@ def test_a_cell_with_finished_runs_costs_their_mean_and_is_not_measured(
     for seed, (cpu, kwh) in enumerate(((4.0, 0.1), (6.0, 0.3))):
         keep_run(tmp_path, experiment, seed, "FINISHED", session=Process.current(), cpu_seconds=cpu, kwh=kwh)
     monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", None)
-    assert run([*words, "seed=0..4", "--dry-run"]) == 0
-    shown = capsys.readouterr().out
+    shown = output(*words, "seed=0..4", "--dry-run").out
     assert "ippo\t3\t15\t15\t0.6\n" in shown  # three new seeds of 15 s, 5 CPU s and 0.2 kWh
     assert "3 jobs, 1 in parallel: about 0:00:45, 15 CPU s, 0.6 kWh" in shown
     assert "Estimated as the mean of finished runs on this machine: 1 cell." in shown
@@ -172,15 +167,14 @@ def test_a_cell_with_finished_runs_costs_their_mean_and_is_not_measured(
 
 @pytest.mark.usefixtures("_measured")
 def test_known_and_measured_cells_are_told_apart_and_energy_is_summed_only_if_all_is_known(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ["sweep", "env=trivial", "study=toys", "env_steps=2048", "backend.parallel=1",
              f"store.root={tmp_path}"]  # fmt: skip
     [experiment] = compose_sweep([*words[1:], "algo=ippo", "energy=off", "backend=serial"])
     keep_run(tmp_path, experiment, 0, "FINISHED", session=Process.current(), cpu_seconds=4.0, kwh=0.1)
     both = [*words, "algo=ippo,ia2c", "seed=0,1", "--dry-run"]
-    assert run([*both, "energy=codecarbon", "backend=ray"]) == 0
-    shown = capsys.readouterr().out
+    shown = output(*both, "energy=codecarbon", "backend=ray").out
     assert "Estimated as the mean of finished runs on this machine: 1 cell." in shown
     assert "6 iterations, measured with 1 training in parallel: 1 cell." in shown
     assert "on a cluster with other processors" in shown
@@ -188,28 +182,26 @@ def test_known_and_measured_cells_are_told_apart_and_energy_is_summed_only_if_al
     paced = "headway_launch.studies.dry_run.calibrate"
     without = replace(PACE, kwh=None, kg_co2=None)
     monkeypatch.setattr(paced, lambda cells, shares: ({id(cell): without for cell in cells}, ""))
-    assert run([*both, "energy=off", "backend=serial"]) == 0
-    shown = capsys.readouterr().out
+    shown = output(*both, "energy=off", "backend=serial").out
     assert "ippo\t1\t10\t4\t0.1\n" in shown
     assert "CPU s, energy known for 1 job only\n" in shown
     assert "CodeCarbon" not in shown
 
 
 @pytest.mark.usefixtures("_measured")
-def test_only_a_cells_own_runs_give_its_estimate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_a_cells_own_runs_give_its_estimate(tmp_path: Path, output: RunOutput) -> None:
     """A short run of the same settings says little of a long one, which hardly consists of its start."""
     words = ["sweep", "env=trivial", "algo=ippo", "study=toys", "seed=0,1", "energy=off", "backend=serial",
              f"store.root={tmp_path}"]  # fmt: skip
     [experiment] = compose_sweep([*words[1:], "env_steps=2048"])
     keep_run(tmp_path, experiment, 0, "FINISHED", session=Process.current(), cpu_seconds=4.0)
-    assert run([*words, "env_steps=204_800", "--dry-run"]) == 0
-    shown = capsys.readouterr().out
+    shown = output(*words, "env_steps=204_800", "--dry-run").out
     assert "Estimated as the mean" not in shown
     assert "Estimated from an evaluation" in shown
 
 
 def test_finished_runs_of_whole_stacks_give_the_cost_of_a_smaller_last_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ["sweep", "env=trivial", "algo=ippo", "study=toys", "env_steps=2048", "energy=off",
              "backend=serial", "backend.parallel=1", "backend.stack=3", f"store.root={tmp_path}"]  # fmt: skip
@@ -218,11 +210,9 @@ def test_finished_runs_of_whole_stacks_give_the_cost_of_a_smaller_last_one(
         kept = {"stack": (0, 1, 2), "session": Process.current(), "cpu_seconds": 5.0}
         keep_run(tmp_path, experiment, seed, "FINISHED", **kept)
     monkeypatch.setattr("headway_launch.studies.dry_run.calibrate", None)
-    assert run([*words, "seed=0..7", "--dry-run"]) == 0
-    shown = capsys.readouterr().out
+    shown = output(*words, "seed=0..7", "--dry-run").out
     assert "ippo\t2\t20\t25\t\n" in shown  # five seeds in jobs of 3 and 2
-    assert run([*words, "seed=0..4", "--dry-run"]) == 0
-    assert "ippo\t1\t20\t10\t\n" in capsys.readouterr().out
+    assert "ippo\t1\t20\t10\t\n" in output(*words, "seed=0..4", "--dry-run").out
 
 
 def test_iterations_are_measured_without_the_evaluations_between_them() -> None:

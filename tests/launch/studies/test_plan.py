@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from command_lines import Refused, RunOutput
 from stored_runs import keep_run
 
 from headway.contracts.errors import HeadwayError
@@ -144,23 +145,21 @@ def test_a_broken_plan_prints_one_line(tmp_path: Path) -> None:
 
 
 def test_a_finished_sweep_is_skipped_and_its_table_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, output: RunOutput, refused: Refused
 ) -> None:
     sweep = [*BASE, "algo=ippo,ia2c", "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
     for experiment in compose_sweep(sweep):
         for seed in (0, 1):
             summary = {"final_reward": 2.0 + seed, "auc": 0.5, "cpu_seconds": 10.0, "kwh": None}
             keep_run(tmp_path, experiment, seed, "FINISHED", **summary)
-    assert run(["sweep", *sweep]) == 0
-    shown = capsys.readouterr()
+    shown = output("sweep", *sweep)
     assert "4 runs of study toys: 4 finished and skipped\n" in shown.err
     rows = [line.split("\t") for line in shown.out.splitlines()]
     assert rows[1][:6] == ["ippo", "2 of 2", "2.5", "0.707107", "0.5", "20"]
     assert rows[2][0] == "ia2c"
     assert len(RunIndex(tmp_path).rows()) == 4
     assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 0
-    assert run(["resume", "--study", "tyos", "--store", str(tmp_path)]) == 2
-    assert "did you mean toys?" in capsys.readouterr().err
+    assert "did you mean toys?" in refused("resume", "--study", "tyos", "--store", str(tmp_path))
 
 
 HELD = (

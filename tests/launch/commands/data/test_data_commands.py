@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_lines import Refused
+from command_lines import Refused, RunOutput
 
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepare import prepare
@@ -89,12 +89,11 @@ def test_keys_that_a_replay_fixes_are_refused(setting: str, refused: Refused) ->
 
 
 def test_a_written_scenario_is_the_built_in_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, output: RunOutput
 ) -> None:
     out = tmp_path / "towns" / "mine"
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    assert run(["data", "synthetic", str(out), "--size", "line", "--seed", "5"]) == 0
-    shown, told = capsys.readouterr()
+    shown, told = output("data", "synthetic", str(out), "--size", "line", "--seed", "5")
     assert "lines with a timetable: 1 of 1" in told
     assert "day types described: 2 of 2" in told
     assert "of 1" not in shown
@@ -108,7 +107,7 @@ def test_a_written_scenario_is_the_built_in_one(
 
 
 def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
+    tmp_path: Path, output: RunOutput, refused: Refused
 ) -> None:
     folder, out = tmp_path / "counts", tmp_path / "mine"
     folder.mkdir()
@@ -122,8 +121,7 @@ def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
     assert "link_times.csv, row 2, column mean_s: '2:45' is not a number; correct it" in line
     assert not out.exists()
     times.write_text(intact, encoding="utf-8")
-    assert run(["data", "csv", str(folder), str(out)]) == 0
-    shown = capsys.readouterr().out
+    shown = output("data", "csv", str(folder), str(out)).out
     assert "1 line, 2 patterns, 3 stops, 4 links\nweekday: 8 trips" in shown
     assert "service: 07:00 to 08:06, whereas 05:00 to 24:00 is simulated by default" in shown
     hours = "env.args.start_hour=7 env.args.end_hour=9"
@@ -136,7 +134,7 @@ def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
 
 
 def test_the_realism_of_a_few_recorded_calls_has_blanks_and_a_caution(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, output: RunOutput
 ) -> None:
     folder, out = tmp_path / "recorded", tmp_path / "mine"
     folder.mkdir()
@@ -146,28 +144,22 @@ def test_the_realism_of_a_few_recorded_calls_has_blanks_and_a_caution(
         if name in ("stops", "lines", "calls"):
             (folder / f"{name}.csv").write_text(text, encoding="utf-8")
     assert run(["data", "csv", str(folder), str(out)]) == 0
-    capsys.readouterr()
-    assert run(["data", "realism", str(out), "--records", str(folder), "--days", "2"]) == 0
-    shown = capsys.readouterr().out
+    shown = output("data", "realism", str(out), "--records", str(folder), "--days", "2").out
     assert "\nnan" not in shown.replace("\t", "\n")
     assert "1 trip per day: too few to compare" in shown
 
 
-def test_a_scenario_of_sundays_alone_is_run_on_sundays(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scenario_of_sundays_alone_is_run_on_sundays(tmp_path: Path, output: RunOutput) -> None:
     for name, text in _files_of_the_guide().items():
         lines = text.splitlines()
         if name in ("trips", "link_times", "demand"):
             lines = [f"day_type,{lines[0]}", *(f"sunday,{line}" for line in lines[1:])]
         (tmp_path / f"{name}.csv").write_text("\n".join(lines), encoding="utf-8")
     out = tmp_path / "mine"
-    assert run(["data", "csv", str(tmp_path), str(out)]) == 0
-    train = capsys.readouterr().out.splitlines()[-1].split("; ")[1]
+    train = output("data", "csv", str(tmp_path), str(out)).out.splitlines()[-1].split("; ")[1]
     assert " env.args.day_type=sunday env.args.start_hour=7 env.args.end_hour=9 " in train
     assert compose(train.removeprefix("headway run ").split()).env_config.day_type == "sunday"
-    assert run(["data", "describe", str(out)]) == 0
-    shown = capsys.readouterr().out.splitlines()
+    shown = output("data", "describe", str(out)).out.splitlines()
     assert "quantity per day\tsunday" in shown
     assert "last arrival\t08:06" in shown
     assert "headway 17:00-19:00, min\tfewer than 2 departures" in shown
@@ -195,7 +187,7 @@ def test_the_recommended_command_has_the_settings_of_the_study_of_such_networks(
     like: tuple[str, ...],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    output: RunOutput,
 ) -> None:
     """All sizes that `headway data synthetic --help` lists are tested; the generated town is a line."""
     described = description.by_day_type
@@ -205,8 +197,7 @@ def test_the_recommended_command_has_the_settings_of_the_study_of_such_networks(
 
     monkeypatch.setattr(description, "by_day_type", by_day_type)
     out = tmp_path / "mine"
-    assert run(["data", "synthetic", str(out)]) == 0
-    last = capsys.readouterr().out.splitlines()[-1]
+    last = output("data", "synthetic", str(out)).out.splitlines()[-1]
     describe, train = last.removeprefix("next: ").split("; ")
     assert describe == f"headway data describe {out}"
     experiment = compose(train.removeprefix("headway run ").split())
@@ -218,14 +209,13 @@ def test_the_recommended_command_has_the_settings_of_the_study_of_such_networks(
 
 
 def test_the_guide_continues_with_the_commands_that_are_printed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, output: RunOutput
 ) -> None:
     lines = (PROJECT / "docs" / "guide" / "everyday_use.md").read_text(encoding="utf-8").splitlines()
     commands = [line.split("#")[0].strip() for line in lines if line.startswith("    headway ")]
     [create] = [place for place, command in enumerate(commands) if " data synthetic " in command]
     monkeypatch.chdir(tmp_path)
-    assert run(commands[create].split()[1:]) == 0
-    last = capsys.readouterr().out.splitlines()[-1]
+    last = output(*commands[create].split()[1:]).out.splitlines()[-1]
     assert set(last.removeprefix("next: ").split("; ")) <= set(commands[create + 1 :])
 
 
@@ -329,34 +319,29 @@ def test_a_description_counts_what_the_environment_runs(
 
 
 def test_realism_prints_simulated_beside_measured(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, output: RunOutput, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "recorded"
     assert run(["data", "synthetic", str(out)]) == 0
     (out / "meta.json").write_text('{"source": "records of a test"}')
-    capsys.readouterr()
-    assert run(["data", "realism", str(out), "--days", "1", "--format", "csv"]) == 0
-    header, *rows = csv.reader(capsys.readouterr().out.splitlines())
+    realism = ("data", "realism", str(out), "--days", "1")
+    header, *rows = csv.reader(output(*realism, "--format", "csv").out.splitlines())
     assert header[0] == "statistic"
     first = dict(zip(header, next(row for row in rows if row[0] == "headway CV, first call"), strict=True))
     assert first["simulated"] == first["measured"]
     assert first["verdict"] == "within tolerance"
     assert first["measured in"] == "its own tables"
-    assert run(["data", "realism", str(out), "--days", "1", "--day-type", "sunday"]) == 0
-    assert capsys.readouterr().out.endswith(" statistics are within tolerance\n")
+    assert output(*realism, "--day-type", "sunday").out.endswith(" statistics are within tolerance\n")
     (out / "meta.json").write_text(json.dumps({"source": f"records of a test of doi:{DOI}"}))
-    assert run(["data", "realism", str(out), "--days", "1"]) == 0
-    *rows, counted, left_out = capsys.readouterr().out.splitlines()
+    *rows, counted, left_out = output(*realism).out.splitlines()
     cells = [row.split("\t") for row in rows[1:]]
     own = [row for row in cells if row[7] == "its own tables"]
     assert {row[6] for row in cells if row not in own} == {"not judged"}
-    assert (
-        counted
-        == f"{sum(row[6] == 'within tolerance' for row in own)} of {len(own)} statistics are within tolerance"
-    )
+    within = sum(row[6] == "within tolerance" for row in own)
+    assert counted == f"{within} of {len(own)} statistics are within tolerance"
     assert left_out.startswith(f"not judged: {len(cells) - len(own)} statistics measured over all 382")
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    assert run(["data", "realism", str(out), "--days", "1", "--records", str(tmp_path)]) == 2
+    assert run([*realism, "--records", str(tmp_path)]) == 2
     told = capsys.readouterr().err
     assert "days simulated: 0 of 1" in told
     assert "there is no file od-YYYY-MM-DD.parquet below" in told

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from command_lines import Refused
+from command_lines import Refused, RunOutput
 
 from headway.contracts import HeadwayError
 from headway_launch.commands.main import run
@@ -54,9 +54,8 @@ def test_without_ray_waiting_for_nodes_fails_at_once(monkeypatch: pytest.MonkeyP
         wait_for_nodes("127.0.0.1:1", 2)
 
 
-def _written(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[Path, list[str]]:
-    assert run([*SWEEP, "--slurm", *words]) == 0
-    shown = capsys.readouterr()
+def _written(output: RunOutput, *words: str) -> tuple[Path, list[str]]:
+    shown = output(*SWEEP, "--slurm", *words)
     path = Path(shown.out.strip())
     assert shown.err.endswith(f"with: sbatch {path}\n")
     subprocess.run(["bash", "-n", path], check=True)
@@ -73,9 +72,9 @@ def _variable(lines: list[str], name: str) -> list[str]:
     return shlex.split(line.removeprefix(f"{name}=(").removesuffix(")"))
 
 
-def test_a_cluster_in_the_allocation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_cluster_in_the_allocation(tmp_path: Path, output: RunOutput) -> None:
     further = ("--time", "2-00", "--partition", "short,long", "--sbatch=--mem=8G", "--sbatch=--gpus=1")
-    path, lines = _written(capsys, "--nodes", "4", "--cpus", "32", *further)
+    path, lines = _written(output, "--nodes", "4", "--cpus", "32", *further)
     assert path == tmp_path / "runs" / "a-study" / "slurm" / "cluster.sbatch"
     assert _options(lines) == [
         "--job-name=headway-a-study", "--nodes=4", "--ntasks-per-node=1", "--cpus-per-task=32",
@@ -86,8 +85,8 @@ def test_a_cluster_in_the_allocation(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert not list((tmp_path / "runs").rglob("run.json"))
 
 
-def test_an_array_of_seeds(capsys: pytest.CaptureFixture[str]) -> None:
-    _, lines = _written(capsys, "--array", "--cpus", "8")
+def test_an_array_of_seeds(output: RunOutput) -> None:
+    _, lines = _written(output, "--array", "--cpus", "8")
     assert "--array=0-2" in _options(lines)
     assert _variable(lines, "seeds") == ["3", "5", "6"]
     assert _variable(lines, "overrides") == ["env=visitors", "algo=ippo,ia2c", "study=a study"]
@@ -139,11 +138,10 @@ def test_invalid_options_print_one_line(
     assert not list(tmp_path.iterdir())
 
 
-def test_option_values_are_quoted_for_sbatch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_option_values_are_quoted_for_sbatch(tmp_path: Path, output: RunOutput) -> None:
     """sbatch splits a line as the shell does; in the name of the output `%` starts a placeholder."""
     words = ('--sbatch=--comment="a #1"', "--sbatch=-A ours", "store.root='a store, 50%/b\"c'")
-    assert run([*SWEEP, "--slurm", "--array", "backend=process", *words]) == 0
-    shown = capsys.readouterr()
+    shown = output(*SWEEP, "--slurm", "--array", "backend=process", *words)
     path = Path(shown.out.strip())
     assert path == tmp_path / "a store, 50%" / 'b"c' / "a-study" / "slurm" / "array.sbatch"
     subprocess.run(["bash", "-n", path], check=True)
