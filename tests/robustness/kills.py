@@ -15,8 +15,8 @@ from headway.store.index import RunIndex
 from headway.store.tracking.sync import sync_each
 from tests.robustness.outcomes import FAILURES, Outcome, Scale, Tally
 from tests.robustness.sessions import BOUND_S, TINY, Session, session_outcome
-from tests.trials.killed_study import processes_of, results_of
-from tests.trials.same_study import differences
+from tests.trials.processes import children_of, words_of
+from tests.trials.same_study import differences, results_of
 
 STUDY = "disturbed"
 BASE = (
@@ -24,6 +24,7 @@ BASE = (
     "store.checkpoint_every=10", "backend.worker_timeout_s=2", "store.root=runs",
 )  # fmt: skip
 STUDIES: dict[str, tuple[str, ...]] = {
+    "bus": ("env=bus", "algo=mappo", "seed=0,1", "env_steps=2000", "backend.workers=2"),
     "workers": ("env=visitors", "algo=ippo", "seed=0,1", "env_steps=4000", "backend.workers=2"),
     "stack": ("env=tracking", "algo=maa2c", "seed=0..2", "env_steps=4000", "backend.stack=3"),
     "asynchronous": ("env=visitors", "algo=a3c", "algo.application=in_turns", "seed=0,1", "env_steps=4000"),
@@ -87,8 +88,9 @@ class DisturbedStudy:
         for session in range(3 * number):
             if self.table or len(self.outcomes) >= number:
                 break
-            resumes = session % 2 and RunIndex(self.root).rows()
-            words = ["resume", "--study", STUDY] if resumes else ["sweep", *self.sweep]
+            if begun := self.root.exists() and bool(RunIndex(self.root).rows()):
+                sync_each(self.root)  # MLflow has a part of each curve when the next session goes on
+            words = ["resume", "--study", STUDY] if session % 2 and begun else ["sweep", *self.sweep]
             self.session(words, self.chance.choices(DISTURBANCES, k=number - len(self.outcomes)))
 
     def finish(self) -> None:
@@ -186,6 +188,22 @@ def compared(table: str, root: Path, whole_table: str, whole: Path) -> list[str]
         sync_each(store)
     tables = [] if results_of(table) == results_of(whole_table) else ["the tables differ"]
     return [*tables, *differences(whole, root)]
+
+
+def processes_of(session: int, target: str) -> list[psutil.Process]:
+    """Return the live processes of a kind, see `DISTURBANCES`, of the session with this process id."""
+    try:
+        process = psutil.Process(session)
+    except psutil.NoSuchProcess:
+        return []
+    if target in ("session", "process group"):
+        return [process]
+    trainers = [child for child in children_of(process) if "spawn_main" in words_of(child)]
+    if target == "training process":
+        return trainers
+    below = [child for trainer in trainers for child in children_of(trainer)]
+    servers = [child for child in below if "forkserver" in words_of(child)]
+    return servers if target == "fork server" else [each for one in servers for each in children_of(one)]
 
 
 def _send(process: psutil.Process, disturbance: Disturbance) -> bool:

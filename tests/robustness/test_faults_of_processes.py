@@ -1,6 +1,8 @@
 """A kill, a misbehaving environment and a storage fault end as they should; a planted loss is noticed."""
 
+import json
 import random
+import shutil
 import signal
 import sqlite3
 from contextlib import ExitStack
@@ -17,8 +19,8 @@ from tests.robustness.storage import size_limit
 pytestmark = pytest.mark.slow
 
 
-def test_a_disturbed_study_equals_the_undisturbed_one_and_a_loss_is_noticed(tmp_path: Path) -> None:
-    sweep = [*STUDIES["workers"], *BASE, "seed=0", "env_steps=2400"]
+def test_a_disturbed_study_equals_the_undisturbed_one_and_losses_are_noticed(tmp_path: Path) -> None:
+    sweep = [*STUDIES["workers"], *BASE, "seed=0,1", "env_steps=2400"]
     table, whole = undisturbed(sweep, tmp_path / "whole"), tmp_path / "whole" / "runs"
     disturbed = DisturbedStudy(sweep, tmp_path / "disturbed", random.Random(1))
     disturbed.session(["sweep", *sweep], [Disturbance("rollout worker", signal.SIGKILL)])
@@ -26,13 +28,17 @@ def test_a_disturbed_study_equals_the_undisturbed_one_and_a_loss_is_noticed(tmp_
     assert "SIGKILL to rollout worker" in disturbed.history
     assert compared(disturbed.table, disturbed.root, table, whole) == []
 
-    [run] = RunIndex(disturbed.root).rows()
-    next(Path(run.directory).glob("curve-*.parquet")).unlink()
+    # A lost row, points sent at another step, another result and a run twice.
+    first, second = RunIndex(disturbed.root).rows()
+    next(Path(first.directory).glob("curve-*.parquet")).unlink()
     with sqlite3.connect(disturbed.root / "mlflow.db") as database:
-        database.execute("DELETE FROM metrics WHERE key LIKE 'policy/%'")
+        database.execute("UPDATE metrics SET step = step + 1 WHERE key LIKE 'policy/%'")
+    shutil.copytree(second.directory, f"{second.directory}-again")
+    summary = Path(first.directory, "summary.json")
+    summary.write_text(json.dumps(json.loads(summary.read_text()) | {"final_reward": 1.0}))
     found = "\n".join(compared(disturbed.table, disturbed.root, table, whole))
-    assert "curve differ" in found
-    assert "MLflow's curves differs" in found
+    for line in ("curve differ", "MLflow's curves differs", "has 2 runs", "results differ"):
+        assert line in found
 
 
 def test_an_environment_that_ends_the_session_is_one_clear_line(tmp_path: Path) -> None:

@@ -30,11 +30,7 @@ class Host:
     """Network device of the link in the namespace."""
 
     def start(
-        self,
-        command: Sequence[str],
-        environment: Mapping[str, str],
-        output: Path,
-        errors: Path,
+        self, command: Sequence[str], environment: Mapping[str, str], output: Path, errors: Path
     ) -> "subprocess.Popen[bytes]":
         """Start a command in the namespace, in its own process group. `environment` overrides that of this
         process; output is appended to the files."""

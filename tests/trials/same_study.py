@@ -11,6 +11,12 @@ from headway.store.index import RunIndex, RunRow
 from headway.store.parquet_log import TABLES, read_rows
 from headway.store.run_folder import read_summary
 
+
+def results_of(table: str) -> list[list[str]]:
+    """Return of each cell its name, number of finished runs, reward, deviation and AUC, without costs."""
+    return [line.split("\t")[:5] for line in table.splitlines()]
+
+
 _RESULTS = ("final_reward", "auc", "env_steps")
 _CLOCKS = ("wall_s", "time/")
 """Prefixes of columns with durations."""

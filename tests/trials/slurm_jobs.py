@@ -24,13 +24,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import psutil
-
 from headway.contracts import HeadwayError
 from headway.rollout.workers.ray_cluster import require_ray
 from headway.store.index import RunIndex
 from headway.store.tracking.sync import sync_each
 from tests.trials.hosts import Host, two_hosts
+from tests.trials.processes import words_of
 from tests.trials.same_study import differences
 from tests.trials.two_nodes import SMALL, end_by_signal, headway, train_here, until
 
@@ -104,7 +103,7 @@ class Slurm:
     def left(self) -> list[str]:
         """Return a line per file that Ray has left on a node, and per process of Ray or Python."""
         files = [path.name for folder in self.folders for path in folder.iterdir()]
-        running = [_words(process) for host in self.hosts for process in host.processes()]
+        running = [words_of(process) for host in self.hosts for process in host.processes()]
         # Match whole words, because a random folder name may contain "ray".
         processes = [words for words in running if re.search(r"\bray\b|python", words)]
         return [f"left on a node: {thing}" for thing in (*files, *processes)]
@@ -254,14 +253,6 @@ def slurm() -> Iterator[Slurm]:
         found = Slurm((one, other), environment, folders)
         _until_idle(found, told)
         yield found
-
-
-def _words(process: psutil.Process) -> str:
-    """Return the command line of a process; empty if it has ended."""
-    try:
-        return " ".join(process.cmdline())
-    except psutil.Error:
-        return ""
 
 
 def _with(folder: Path, place: Path) -> list[str]:

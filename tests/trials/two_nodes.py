@@ -34,7 +34,8 @@ from headway.store.index import RunIndex
 from headway.store.run_folder import CHECKPOINTS, RunRecord
 from headway.store.tracking.sync import sync_each
 from tests.trials.hosts import Host, two_hosts
-from tests.trials.same_study import differences
+from tests.trials.processes import children_of, words_of, workers_of
+from tests.trials.same_study import differences, results_of
 
 STUDY = "two_nodes"
 SMALL = (
@@ -132,7 +133,7 @@ def trial(root: Path, sweep: Sequence[str], turns: dict[str, Turn]) -> list[str]
         after, differ = _on_two_nodes(root / name, sweep, turn)
         sync_each(root / name)
         differ += differences(alone, root / name)
-        if _results(after) != _results(table):
+        if results_of(after) != results_of(table):
             differ.append(f"tables differ:\n{table}\n{after}")
         found += [f"{name}: {line}" for line in differ]
         print(f"{name}: {time.monotonic() - began:.0f} s, {len(differ)} differences", flush=True)
@@ -267,15 +268,15 @@ def _cut_off(
             "the run that was cut off had ended before, so nothing was tested: set --steps higher"
         )
     until(lambda: (latest_iteration(kept) or 0) > done[seed] or session.poll() is not None)
-    others = [process for process in nodes.head.processes() if _has_title(process, turn.actor)]
+    others = [process for process in nodes.head.processes() if turn.actor in words_of(process)]
     if session.poll() is None:
         others.append(psutil.Process(session.pid))
-    others += [child for process in others for child in _descendants(process)]
+    others += [child for process in others for child in children_of(process, recursive=True)]
     suspend_all(others)
     there = _contents(root)
     at = latest_iteration(kept)
     resume_all(actors)
-    until(lambda: not any(_workers(actor) for actor in actors))
+    until(lambda: not any(workers_of(actor) for actor in actors))
     found = _errors_of_cut_off(nodes, actors)
     if changed := sorted({path for path, _ in there ^ _contents(root)}):
         found.append(f"the cut-off actors changed {len(changed)} files, including {changed[-1]}")
@@ -331,22 +332,7 @@ def until(condition: Callable[[], bool], poll_s: float = _POLL_S) -> None:
 
 
 def _is_working(process: psutil.Process, turn: Turn) -> bool:
-    return _has_title(process, turn.actor) and (turn.learners == "here" or bool(_workers(process)))
-
-
-def _workers(actor: psutil.Process) -> list[psutil.Process]:
-    """Return an actor's rollout workers, which are children of its fork server."""
-    try:
-        return [worker for server in actor.children() for worker in server.children()]
-    except psutil.NoSuchProcess:
-        return []
-
-
-def _descendants(process: psutil.Process) -> list[psutil.Process]:
-    try:
-        return process.children(recursive=True)
-    except psutil.NoSuchProcess:
-        return []
+    return turn.actor in words_of(process) and (turn.learners == "here" or bool(workers_of(process)))
 
 
 def _contents(root: Path) -> set[tuple[str, tuple[int, int, int]]]:
@@ -362,23 +348,11 @@ def headway(sweep: Sequence[str], root: Path) -> list[str]:
     return [sys.executable, "-m", "headway_launch", "sweep", *sweep, f"store.root='{root}'"]
 
 
-def _has_title(process: psutil.Process, name: str) -> bool:
-    try:
-        return name in " ".join(process.cmdline())
-    except psutil.Error:
-        return False
-
-
 def _has_started(root: Path) -> bool:
     """Return whether each run has a checkpoint or one run is half done, since it does not wait for others."""
     rows = RunIndex(root).rows(STUDY) if root.exists() else []
     halves = [2 * row.iterations >= RunRecord.read(Path(row.directory)).iterations for row in rows]
     return any(halves) or min((row.iterations for row in rows), default=0) > 0
-
-
-def _results(table: str) -> list[list[str]]:
-    """Return the result columns of each row of a table, without those of cost."""
-    return [line.split("\t")[:5] for line in table.splitlines()]
 
 
 def _last_line(told: Path) -> str:
