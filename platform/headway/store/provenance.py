@@ -1,6 +1,7 @@
 """Provenance of a run: package versions, git revision, hardware."""
 
 import platform
+import re
 import subprocess
 from collections.abc import Mapping
 from functools import cache
@@ -15,6 +16,7 @@ from headway.rollout.workers.usage import usable_cores
 _PACKAGES = (
     "headway",
     "numpy",
+    "numba",
     "torch",
     "gymnasium",
     "pettingzoo",
@@ -25,6 +27,9 @@ _PACKAGES = (
     "highway-env",
 )
 _GIT_SECONDS = 5.0
+_CPU_INFO = Path("/proc/cpuinfo")
+_VECTOR_UNIT = re.compile(r"sse4_\d|avx\w*|fma|f16c|amx\w*|asimd\w*|sve\w*")
+"""Processor flags that decide which of their kernels numerical libraries choose, and so how sums round."""
 
 
 def provenance() -> Mapping[str, str]:
@@ -69,8 +74,10 @@ def _git(project: Path, *arguments: str) -> str | None:
 
 
 def _hardware() -> dict[str, str]:
+    features = " ".join(sorted(filter(_VECTOR_UNIT.fullmatch, _cpu_info("flags", "Features").split())))
     found = {
-        "hardware.cpu": _cpu_model(),
+        "hardware.cpu": _cpu_info("model name") or platform.processor() or platform.machine(),
+        **({"hardware.cpu_features": features} if features else {}),
         "hardware.cores": str(usable_cores()),
         "hardware.memory_gib": f"{psutil.virtual_memory().total / 2**30:.1f}",
         "hardware.host": platform.node(),
@@ -80,13 +87,15 @@ def _hardware() -> dict[str, str]:
     return found | ({"hardware.gpu": ", ".join(gpus)} if gpus else {})
 
 
-def _cpu_model() -> str:
+def _cpu_info(*names: str) -> str:
+    """Return the value of the first line with one of these names in Linux's description of its processors,
+    of which the first stands for all; empty if there is none."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = _CPU_INFO.read_text().splitlines()
     except OSError:
-        lines = []
-    models = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    return next(models, platform.processor() or platform.machine())
+        return ""
+    pairs = (line.partition(":") for line in lines)
+    return next((value.strip() for name, _, value in pairs if name.strip() in names), "")
 
 
 def _gpu_models() -> list[str]:
