@@ -31,6 +31,22 @@ def mean_and_half_width(values: NDArray[np.float64]) -> tuple[NDArray[np.float64
     return values.mean(axis=0), stdtrit(count - 1, (1 + CONFIDENCE) / 2) * error
 
 
+def prediction_interval(values: ArrayLike, confidence: float) -> tuple[float, float]:
+    """Return the interval in which a further value lies with probability `confidence`, by Student's t.
+
+    `values`, of shape (values,), and the further one are independent draws from one normal distribution: mean
+    +- t s sqrt(1 + 1/n). Raises ValueError for fewer than two values or values that are not finite.
+    """
+    from scipy.special import stdtrit
+
+    sample = as_sample(values, "values")
+    count = len(sample)
+    if count < 2:
+        raise ValueError("an interval needs two values")
+    half = stdtrit(count - 1, (1 + confidence) / 2) * sample.std(ddof=1) * np.sqrt(1 + 1 / count)
+    return float(sample.mean() - half), float(sample.mean() + half)
+
+
 def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike) -> Interval:
     """Return the mean of a - b with an interval over both training seeds and evaluation episodes.
 

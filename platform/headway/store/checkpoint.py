@@ -131,7 +131,9 @@ def _newest_valid(
     where = " or ".join(str(directory) for directory in directories)
     if notices:
         raise HeadwayError(f"every checkpoint in {where} is broken: start a new run ({'; '.join(notices)})")
-    raise HeadwayError(f"there is no checkpoint in {where}: start a new run")
+    raise HeadwayError(
+        f"there is no checkpoint in {where}: start a new run; archives hold them with --checkpoints only"
+    )
 
 
 class UnfitPolicyError(HeadwayError):
@@ -188,6 +190,11 @@ def latest_iteration(directory: Path) -> int | None:
     """Return the iteration in the name of the newest checkpoint, without reading it; None: no checkpoint."""
     checkpoints = _files(directory, "checkpoint")
     return checkpoints[0][0] if checkpoints else None
+
+
+def newest_file(directory: Path) -> Path | None:
+    """Return the path of the newest checkpoint, without reading it; None: no checkpoint."""
+    return next((path for _, path in _files(directory, "checkpoint")), None)
 
 
 def _files(directory: Path, kind: str) -> list[tuple[int, Path]]:

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-_NAME = "energy.parquet"
+ENERGY = "energy.parquet"
+"""Name of the file."""
 _WRITE_SECONDS = 60.0
 
 
@@ -21,7 +22,7 @@ class EnergyLog:
     """Energy samples of a run, those of earlier sessions included; each write rewrites the file."""
 
     def __init__(self, directory: Path) -> None:
-        self._path = directory / _NAME
+        self._path = directory / ENERGY
         self._rows: list[Row] = []
         self._loaded = False
         self._written = time.monotonic()
@@ -69,11 +70,14 @@ def read_energy(directory: Path) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    path = directory / _NAME
-    if not path.exists():
-        return pd.DataFrame()
-    samples: pd.DataFrame = _read(path).to_pandas()
-    return samples
+    samples = energy_table(directory)
+    return pd.DataFrame() if samples is None else samples.to_pandas()
+
+
+def energy_table(directory: Path) -> "pa.Table | None":
+    """Return the samples of `read_energy` as an Arrow table; None if the run has none."""
+    path = directory / ENERGY
+    return _read(path) if path.exists() else None
 
 
 def _read(path: Path) -> "pa.Table":

@@ -131,6 +131,15 @@ def read_rows(directory: Path, table: Table, after: int = -1) -> list[dict[str, 
     return rows
 
 
+def merged_segments(directory: Path, table: Table) -> "pa.Table | None":
+    """Return the committed rows of a table, in the order written; None without rows.
+
+    Raises HeadwayError if a segment cannot be read or has columns of other types.
+    """
+    tables = _tables(directory, table, after=-1)
+    return _concatenated(tables).combine_chunks() if tables else None
+
+
 def read_curve(directory: Path, metric: str) -> dict[int, float]:
     """Return the learning curve of a metric: environment steps -> value."""
     rows = read_rows(directory, "curve")
