@@ -43,10 +43,18 @@ def add_dry_run_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_store_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --store, shared by the commands that read the store."""
+def add_store_argument(parser: argparse.ArgumentParser, archives: bool = True) -> None:
+    """Add --store, shared by the commands that read the store, and --archive if they only read it.
+
+    `headway_launch.commands.main` unpacks an archive and sets `store` to its folder.
+    """
     root = StoreConfig.root
-    parser.add_argument("--store", default=root, help=f"folder of the store (default: {root})")
+    sources = parser.add_mutually_exclusive_group() if archives else parser
+    sources.add_argument("--store", default=root, help=f"folder of the store (default: {root})")
+    if archives:
+        sources.add_argument(
+            "--archive", metavar="FILE", help="archive to read instead of a store (see `headway archive`)"
+        )
 
 
 def add_where_argument(parser: argparse.ArgumentParser) -> None:

@@ -31,7 +31,7 @@ _FIRST_UPDATE_S = 3.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the port and the store."""
     parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (default: 5000)")
-    add_store_argument(parser)
+    add_store_argument(parser, archives=False)
 
 
 def execute(arguments: argparse.Namespace) -> int:

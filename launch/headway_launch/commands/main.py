@@ -5,8 +5,10 @@ import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -57,6 +59,10 @@ COMMANDS = {
     "convert": Command(
         "write a study's logs as CSV or for TensorBoard, Weights & Biases or marl-eval", "convert"
     ),
+    "archive": Command("write the runs of a study to one file, to publish", "archive"),
+    "verify": Command(
+        "check an archive, retrain one of its runs and compare the curves", "verify", only_prints=False
+    ),
     "render": Command("render an episode of a policy or a rule as GIF, MP4 or PNG", "render"),
     "report": Command("write a study's report: one page with tables and plots", "report"),
     "browse": Command("browse studies, reports and runs in a web browser", "browse"),
@@ -82,7 +88,7 @@ COMMANDS = {
 }
 """Every command by name."""
 _NOT_A_NUMBER = re.compile(r"argument (?P<option>\S+): invalid (?P<kind>int|float) value: '(?P<value>.*)'")
-_ONE_THREAD = ("run", "sweep", "search", "resume", "evaluate", "export", "compare", "render")
+_ONE_THREAD = ("run", "sweep", "search", "resume", "evaluate", "export", "compare", "render", "verify")
 """Commands whose numerical libraries use one thread, because parallel processes fill the machine."""
 _CUTOFF = 0.7
 """Least similarity of an unknown option to the one that is proposed."""
@@ -266,12 +272,15 @@ def _dispatch(words: Sequence[str], debug: bool, typed: bool) -> int:
             print_line(f"headway: {last} replaces {first}")
     parsed.command, parsed.debug, parsed.typed = name, debug, rest
     code: int
-    if (folder := getattr(parsed, "config_dir", None)) is None:
-        code = module.execute(parsed)
-        return code
-    from headway_launch.experiments.options import own_configs
+    with ExitStack() as opened:
+        if (folder := getattr(parsed, "config_dir", None)) is not None:
+            from headway_launch.experiments.options import own_configs
 
-    with own_configs(folder):
+            opened.enter_context(own_configs(folder))
+        if (file := getattr(parsed, "archive", None)) is not None:
+            from headway.store.archive.container import unpacked
+
+            parsed.store = str(opened.enter_context(unpacked(Path(file)))[0])
         code = module.execute(parsed)
     return code
 

@@ -124,6 +124,8 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
         raise HeadwayError("--episode, --seed and --step must be at least 0")
     if arguments.fps is not None and not 0.1 <= arguments.fps <= 50.0:
         raise HeadwayError(f"--fps must lie between 0.1 and 50, not {arguments.fps:g}")
+    if arguments.keep and arguments.archive is not None:
+        raise HeadwayError("--keep writes into the run's folder, which an archive has not; omit --keep")
     if arguments.keep and arguments.rule is not None:
         raise HeadwayError("--keep works for runs only; omit --keep or --rule")
     if arguments.keep and output.name != str(output):

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("runs", metavar="RUN", nargs="*", help="names of runs, as in `headway runs`")
     parser.add_argument("--study", help="all unfinished runs of this study")
     add_dry_run_argument(parser)
-    add_store_argument(parser)
+    add_store_argument(parser, archives=False)
 
 
 def execute(arguments: argparse.Namespace) -> int:

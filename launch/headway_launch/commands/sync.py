@@ -18,7 +18,7 @@ whose session is sending them to a server are skipped.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the tracking URI and the store."""
     parser.add_argument("--to", metavar="URI", help="tracking URI for all runs (default: each run's own)")
-    add_store_argument(parser)
+    add_store_argument(parser, archives=False)
 
 
 def execute(arguments: argparse.Namespace) -> int:

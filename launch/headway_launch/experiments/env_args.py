@@ -7,8 +7,6 @@ from typing import Any
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.compose import require_grammar
 
-_PREFIX = "env.args."
-
 
 def with_env_args(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
     """Return a stored configuration with changed environment arguments, and a description of the changes.
@@ -16,23 +14,28 @@ def with_env_args(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple
     `overrides`: `env.args.KEY=VALUE` in Hydra's grammar. Raises HeadwayError for other keys, which concern
     training only.
     """
+    for override in overrides:
+        if not override.startswith("env.args.") or "=" not in override:
+            raise HeadwayError(
+                f"{override}: a trained policy is evaluated with its own configuration; only "
+                "env.args.KEY=VALUE can be changed, and --episodes, --mode, --rules and --seed"
+            )
+    return with_env_keys(mapping, overrides)
+
+
+def with_env_keys(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+    """Return what `with_env_args` does, for any keys of `env`."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     changed, changes = deepcopy(dict(mapping)), []
     for override in overrides:
         key = override.partition("=")[0]
-        if not key.startswith(_PREFIX) or "=" not in override:
-            raise HeadwayError(
-                f"{override}: a trained policy is evaluated with its own configuration; only "
-                "env.args.KEY=VALUE can be changed, and --episodes, --mode, --rules and --seed"
-            )
         require_grammar([override])
         parsed = OverridesParser.create().parse_override(override)
         if parsed.is_sweep_override():
-            raise HeadwayError(f"{override}: give one value; evaluate once per value")
-        *parents, name = key.removeprefix(_PREFIX).split(".")
-        env = changed.get("env")
-        place = env.get("args") if isinstance(env, dict) else None
+            raise HeadwayError(f"{override}: give one value")
+        _, *parents, name = key.split(".")
+        place = changed.get("env")
         for parent in parents:
             place = place.setdefault(parent, {}) if isinstance(place, dict) else None
         if not isinstance(place, dict):
