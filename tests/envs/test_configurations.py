@@ -30,7 +30,6 @@ NO_PUBLISHED_WEIGHTS = dict.fromkeys(("occupancy", "uptime", "regularity", "effi
         (bus.NoiseConfig, {"trip_sd": -0.1}, "trip_sd"),
         (bus.UpkeepConfig, {"uptime_hours": 0.0}, "uptime_hours"),
         (published.BusPublishedConfig, {"agents": 0}, "agents must be at least 1, not 0"),
-        (published.BusPublishedConfig, {"agents_per_route": 0}, "agents_per_route must be at least 1"),
         (published.BusPublishedConfig, {"start_hour": 24}, "0 <= start_hour < end_hour <= 24 must hold"),
         (published.BusPublishedConfig, {"centre": -1}, "centre must be null or at least 0, not -1"),
         (published.BusPublishedConfig, {"observation": "all"}, "must be scaled or raw, not 'all'"),

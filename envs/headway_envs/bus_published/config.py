@@ -1,7 +1,8 @@
 """Configuration of the published bus environment, with all its defaults."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 from headway.contracts.checks import require, require_at_least, require_value
 from headway_envs.bus.config import SCENARIOS
@@ -58,6 +59,8 @@ class RewardConfig:
 class BusPublishedConfig:
     """Buses that shuttle on fixed routes. Each has its own clock; passengers are not simulated."""
 
+    RENAMED: ClassVar[Mapping[str, str]] = {"agents_per_route": "nothing: each copy draws a route per bus"}
+
     scenario: str = "corridor"
     """Source of routes, link times, loads and boardings: `line`, `corridor`, `district`, `city`, or the path
     of a scenario folder. The tables of the published runs are not fully public."""
@@ -66,9 +69,8 @@ class BusPublishedConfig:
     day_type: Literal["weekday", "sunday"] = "weekday"
     """Day type, which selects link times, loads and boardings."""
     agents: int = 5
-    """Number of buses."""
-    agents_per_route: int = 3
-    """Number of buses per route; the last route has the remaining ones."""
+    """Number of buses. Each copy draws a route per bus from its seed, a pattern with the probability of its
+    trips, and keeps it on all its days, as each worker of the released code does."""
     start_hour: int = 6
     """Hour at which every bus's clock starts."""
     end_hour: int = 24
@@ -91,13 +93,8 @@ class BusPublishedConfig:
         )
         require_at_least(0, scenario_seed=self.scenario_seed)
         require_value(self, "day_type", self.day_type in ("weekday", "sunday"), "must be weekday or sunday")
-        require_at_least(1, agents=self.agents, agents_per_route=self.agents_per_route)
+        require_at_least(1, agents=self.agents)
         require(0 <= self.start_hour < self.end_hour <= 24, "0 <= start_hour < end_hour <= 24 must hold")
         require_value(self, "centre", self.centre is None or self.centre >= 0, "must be null or at least 0")
         require_at_least(1, max_steps=self.max_steps)
         require_value(self, "observation", self.observation in ("scaled", "raw"), "must be scaled or raw")
-
-    @property
-    def routes(self) -> int:
-        """Number of routes in use."""
-        return -(-self.agents // self.agents_per_route)

@@ -11,9 +11,9 @@ from headway_envs.bus_published.kernel import steps
 from headway_envs.bus_published.kernel.layout import (
     ACTIONS,
     BUS,
-    CALL,
     DAY,
     OBSERVATION_SIZE,
+    STOP,
     Outputs,
     World,
 )
@@ -25,7 +25,7 @@ from headway_envs.bus_published.prepared import Prepared
 class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
     """C days stepped together; implements `headway.contracts.BatchedEnv`.
 
-    Every bus acts in every step, and only its own clock advances: 0 WAIT (60 s), 1 MOVE (mean time of the
+    Every bus acts in every step, and only its own clock advances: 0 WAIT (60 s), 1 MOVE (time of the
     link), 2 SERVICE_CENTER (0.3 of the shortest path's time; refused without fuel for it). The day terminates
     for all buses when the first clock reaches its end, and is truncated after `max_steps`.
     """
@@ -40,7 +40,6 @@ class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
             agents=prepared.agents,
             observation_size=OBSERVATION_SIZE,
             action_space=Discrete(ACTIONS),
-            groups=prepared.groups,
             shared_reward=prepared.config.reward.scope == "team",
             metrics=METRICS,
             observation_features=features(prepared),
@@ -50,7 +49,7 @@ class BusPublishedBatchedEnv(ArrayEnv[World, Outputs]):
         self.world = World(
             days=np.zeros(copies, DAY),
             buses=np.zeros((copies, len(prepared.agents)), BUS),
-            calls=np.zeros((copies, len(self.network.call_stop)), CALL),
+            stops=np.zeros((copies, len(self.network.demand)), STOP),
         )
         self._always = np.ones(self.outputs.rewards.shape, np.bool_)
         self._no_state = np.zeros((copies, 0), np.float32)

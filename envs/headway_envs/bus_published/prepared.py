@@ -19,8 +19,6 @@ class Prepared:
 
     config: BusPublishedConfig
     network: Network
-    lines: tuple[str, ...]
-    """(R,) name of each route's line."""
     source: str
     """Source of the scenario, with its licence if stated."""
 
@@ -28,11 +26,6 @@ class Prepared:
     def agents(self) -> tuple[str, ...]:
         """(N,) name of each bus."""
         return tuple(f"bus_{n}" for n in range(self.config.agents))
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """(N,) name of each bus's line."""
-        return tuple(self.lines[n // self.config.agents_per_route] for n in range(self.config.agents))
 
     @property
     def settings(self) -> NDArray[Any]:
@@ -66,5 +59,4 @@ def prepare(config: BusPublishedConfig) -> Prepared:
     from headway_envs.bus_published.network import build
 
     tables = scenario_tables(config.scenario, config.scenario_seed)
-    network, lines = build(tables, config)
-    return Prepared(config, network, lines, source_of(tables.meta))
+    return Prepared(config, build(tables, config), source_of(tables.meta))

@@ -27,8 +27,7 @@ class MoveWithService:
         if not isinstance(env, BusPublishedBatchedEnv):
             raise TypeError(f"move_with_service needs a BusPublishedBatchedEnv, not {type(env).__name__}")
         net, buses = env.network, env.world.buses
-        route = np.arange(buses.shape[1]) // env.prepared.config.agents_per_route
-        call = net.route_call[net.route_first[route] + buses["place"]]
-        way_s = DETOUR_SHARE * net.detour_s[call, env.world.days["centre"][:, None]]
+        stop = net.route_stop[net.route_first[buses["route"]] + buses["place"]]
+        way_s = DETOUR_SHARE * net.detour_s[stop, env.world.days["centre"][:, None]]
         due = (buses["uptime"] < self.below) & (buses["fuel"] >= way_s / FUEL_UNIT_S)
         return np.where(due, SERVICE_CENTER, MOVE).astype(np.int64)

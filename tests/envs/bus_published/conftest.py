@@ -16,7 +16,7 @@ Begun = Callable[..., BusPublishedBatchedEnv]
 
 @pytest.fixture(scope="session")
 def line() -> Prepared:
-    """Return the prepared data of five buses, three on one pattern of the line and two on the other."""
+    """Return the prepared data of five buses, each on one of the two patterns of the line."""
     return prepare(BusPublishedConfig(scenario="line"))
 
 
@@ -26,7 +26,7 @@ def begun(line: Prepared) -> Begun:
 
     def begin(copies: int = 1, **changes: Any) -> BusPublishedBatchedEnv:  # noqa: ANN401 - any argument
         config = BusPublishedConfig(scenario="line", **changes)
-        env = ENTRY.make(Prepared(config, line.network, line.lines, line.source), copies)
+        env = ENTRY.make(Prepared(config, line.network, line.source), copies)
         assert isinstance(env, BusPublishedBatchedEnv)
         env.reset(np.arange(copies, dtype=np.uint64))
         return env

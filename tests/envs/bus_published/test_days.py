@@ -7,6 +7,7 @@ import pytest
 from played import first_episodes, repeated
 
 from headway.contracts import HeadwayError, RandomRule
+from headway_envs.bus.scenario.source import scenario_tables
 from headway_envs.bus_published.config import BusPublishedConfig, RewardConfig
 from headway_envs.bus_published.entry import ENTRY
 from headway_envs.bus_published.env import BusPublishedBatchedEnv
@@ -27,6 +28,21 @@ def test_each_copy_draws_a_centre_and_keeps_it(begun: Begun) -> None:
     np.testing.assert_array_equal(env.world.days["centre"], centres)
 
 
+def test_each_bus_of_a_copy_draws_a_route_by_its_trips_and_keeps_it() -> None:
+    env = ENTRY.make(prepare(BusPublishedConfig(scenario="corridor", agents=2)), 1500)
+    env.reset(np.arange(1500, dtype=np.uint64))
+    drawn = env.world.buses["route"].copy()
+    trips = scenario_tables("corridor", 0).trips.query("daytype == 'weekday'").groupby("pattern").size()
+    share = trips.sort_index().to_numpy() / trips.sum()
+    counts = np.bincount(drawn.ravel(), minlength=len(share))
+    assert (np.abs(counts - 3_000 * share) < 5 * np.sqrt(3_000 * share)).all()
+    both = (drawn[:, 0] == drawn[:, 1]).mean()
+    assert both == pytest.approx((share**2).sum(), abs=0.03)  # buses draw independently
+    while (env.world.days["number"] == 0).any():
+        env.step(np.full((1500, 2), MOVE))
+    np.testing.assert_array_equal(env.world.buses["route"], drawn)
+
+
 def test_moving_beats_waiting_and_random_actions_and_service_beats_moving(begun: Begun) -> None:
     """A visit to the centre restores the uptime, which is rewarded at every move, for about one minute's
     reward. Always moving is therefore not the best, although most published learners converged to it."""
@@ -37,7 +53,13 @@ def test_moving_beats_waiting_and_random_actions_and_service_beats_moving(begun:
     assert (team["always_move"] > team["always_wait"]).all()
     assert (team["always_move"] > team["random"]).all()
     assert (team["move_with_service"] > team["always_move"] + 100).all()
-    assert np.ptp(team["always_move"]) == 0  # nothing is drawn but the centre
+    routes = [tuple(row) for row in env.world.buses["route"].tolist()]
+    by_routes = {route: set() for route in routes}
+    for route, earned in zip(routes, team["always_move"].tolist(), strict=True):
+        by_routes[route].add(earned)
+    # Nothing but the centre and the routes is drawn, and buses that always move do not meet the centre.
+    assert len(by_routes) < len(routes)
+    assert all(len(earned) == 1 for earned in by_routes.values())
     assert team["always_wait"] == pytest.approx(-0.1 * 1080 * 5)
 
 
@@ -98,7 +120,6 @@ def test_a_shared_reward_is_the_mean(begun: Begun) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scenario": "line", "agents": 9}, "need 3 routes, and scenario 'line' has 2: set agents_per_route"),
         ({"scenario": "line", "centre": 9999}, "centre 9999 is none of the"),
         ({"scenario": "lime"}, "did you mean 'line'"),
     ],

@@ -6,12 +6,15 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from headway_envs.bus.scenario.source import scenario_tables
 from headway_envs.bus.scenario.tables import Tables
 from headway_envs.bus_published.config import BusPublishedConfig
 from headway_envs.bus_published.env import BusPublishedBatchedEnv
 from headway_envs.bus_published.kernel.layout import Network
+from headway_envs.bus_published.network import recorded_median
 from headway_envs.bus_published.prepared import Prepared, prepare
 
 Begun = Callable[..., BusPublishedBatchedEnv]
@@ -20,18 +23,16 @@ WEIGHTS = {"occupancy": 0.5, "uptime": 0.7, "regularity": 0.5, "efficiency": 0.6
 
 
 class Plain:
-    """One copy as a plain loop, in stops of the scenario instead of calls."""
+    """One copy as a plain loop."""
 
-    def __init__(self, net: Network, agents_per_route: int, agents: int, centre: int) -> None:
-        stop = net.call_stop
+    def __init__(self, net: Network, routes: list[int], centre: int) -> None:
         self.net, self.centre = net, centre
-        self.occupancy = {int(stop[k]): float(net.occupancy[k]) for k in range(len(stop))}
-        self.column = {int(stop[k]): k for k in range(len(stop))}
+        self.occupancy = net.occupancy.tolist()
         self.arrivals: dict[int, list[float]] = {}
         self.buses: list[Bus] = []
-        for n in range(agents):
-            first, last = net.route_first[n // agents_per_route : n // agents_per_route + 2]
-            route = [int(stop[k]) for k in net.route_call[first:last]]
+        for drawn in routes:
+            first, last = net.route_first[drawn : drawn + 2]
+            route = net.route_stop[first:last].tolist()
             self.buses.append(
                 {
                     "clock": 21600.0, "driven": 0.0, "occupancy": float(int(self.occupancy[route[0]])),
@@ -41,7 +42,7 @@ class Plain:
             )  # fmt: skip
 
     def link(self, origin: int, target: int) -> float:
-        return float(self.net.travel_s[origin, self.column[target]])
+        return float(self.net.travel_s[origin, target])
 
     def reward(self, bus: Bus, stop: int) -> float:
         low, high, occupancy = 0.6, 0.9, bus["occupancy"]
@@ -77,7 +78,7 @@ class Plain:
             self.spend(bus, 60.0)
             return -0.1
         if action == 2:
-            seconds = 0.3 * float(self.net.detour_s[self.column[here], self.centre])
+            seconds = 0.3 * float(self.net.detour_s[here, self.centre])
             if bus["fuel"] < seconds / 300.0:
                 return -20.0
             bus["clock"] += seconds
@@ -98,7 +99,7 @@ class Plain:
     def seen(self, bus: Bus) -> list[float]:
         ahead = bus["place"] + 1
         following = bus["route"][ahead] if ahead < len(bus["route"]) else bus["stop"]
-        mean = float(self.net.travel_s[bus["route"][0], self.column[bus["route"][0]]])
+        mean = float(self.net.travel_s[0, 0])
         seconds = self.link(bus["stop"], following) if ahead < len(bus["route"]) else mean
         return [
             min(bus["clock"] / 86400.0, 1.0), bus["occupancy"], min(seconds / 3250.0, 1.0),
@@ -111,7 +112,10 @@ def test_days_equal_those_of_a_plain_loop(begun: Begun, chances: tuple[float, fl
     copies = 3
     env = begun(copies, observation="raw")
     observed = env.observed()
-    plain = [Plain(env.network, 3, 5, int(env.world.days[c]["centre"])) for c in range(copies)]
+    plain = [
+        Plain(env.network, env.world.buses[c]["route"].tolist(), int(env.world.days[c]["centre"]))
+        for c in range(copies)
+    ]
     rng = np.random.default_rng(5)
     totals, going = np.zeros(copies), np.ones(copies, bool)
     while going.any():
@@ -142,32 +146,54 @@ def test_network_arrays_have_the_layout_of_workers_copies(centre: int | None) ->
         assert array.flags.c_contiguous, name
 
 
-def test_the_network_follows_the_tables(line: Prepared) -> None:
-    """Mean link times over the hours, loads over 80 places, and shortest paths by another algorithm."""
-    from headway_envs.bus.scenario.source import scenario_tables
+def test_a_links_time_is_the_median_of_the_times_that_the_released_code_keeps(line: Prepared) -> None:
+    """Times are drawn as the scenario describes them, and filtered one by one as in the released script."""
+    net, (_, links, times) = line.network, _line_tables()
+    rng, compared = np.random.default_rng(3), 0
+    for link in links[:: len(links) // 12]:
+        hours = [row for row in times if row.link == link.link]
+        drawn: list[float] = []
+        for row in hours:
+            centre = math.log(row.mean_s) - row.log_sigma**2 / 2
+            drawn += np.exp(rng.normal(centre, row.log_sigma, 20_000)).tolist()
+        kept = [second for second in drawn if 120.0 <= second <= 1800.0]
+        if len(kept) < 1000:
+            continue  # too few to compare with
+        lower, upper = np.percentile(kept, [25, 75])
+        low, high = lower - 1.5 * (upper - lower), upper + 1.5 * (upper - lower)
+        expected = np.median([second for second in kept if low <= second <= high])
+        compared += 1
+        assert net.travel_s[link.from_stop, link.to_stop] == pytest.approx(expected, rel=0.02)
+    assert compared >= 6
 
-    net, tables = line.network, scenario_tables("line", 0)
+
+def test_a_link_without_kept_times_takes_the_mean_of_the_others() -> None:
+    """A median below which every time of a year lies is none."""
+    rows = {"link": [0, 0, 1, 2], "hour": [7, 8, 7, 7], "mean_s": [20.0, 20.0, 60.0, 300.0]}
+    times = pd.DataFrame({**rows, "log_sigma": 0.2})
+    found = recorded_median(times, pd.Series({0: 100.0, 1: 100.0, 2: 100.0}))
+    assert math.isnan(found[0])
+    assert 120.0 < found[1] < 135.0  # only its slowest times are kept
+    assert found[2] == pytest.approx(300.0 * math.exp(-0.02), rel=0.01)
+    assert recorded_median(times, pd.Series({2: 100.0})).isna().tolist() == [True, True, False]
+
+
+def test_the_network_follows_the_tables(line: Prepared) -> None:
+    """Loads of leaving buses over 80 places, demand, and shortest paths by another algorithm."""
+    net, (tables, links, _) = line.network, _line_tables()
     stops = sorted(tables.stops["stop"])
-    times = tables.link_times[tables.link_times["daytype"] == "weekday"].groupby("link")["mean_s"].mean()
-    seconds = {
-        (stops.index(row.from_stop), stops.index(row.to_stop)): times[row.link]
-        for row in tables.links.itertuples()
-    }
+    seconds = {(row.from_stop, row.to_stop): net.travel_s[row.from_stop, row.to_stop] for row in links}
     mean = np.mean(list(seconds.values()))
     for route in range(2):
-        calls = net.route_call[net.route_first[route] : net.route_first[route + 1]]
-        expected = 0.0
-        for here, there in zip(net.call_stop[calls], calls[1:], strict=False):
-            assert net.travel_s[here, there] == pytest.approx(seconds[here, net.call_stop[there]])
-            expected += net.travel_s[here, there]
-        assert net.expected_s[route] == pytest.approx(expected)
-        back = net.travel_s[net.call_stop[calls[1]], calls[0]]
-        assert back == pytest.approx(mean)  # the table knows only the way out
-    for k in range(0, len(net.call_stop), 7):
-        stop = int(net.call_stop[k])
+        calls = net.route_stop[net.route_first[route] : net.route_first[route + 1]].tolist()
+        rows = tables.pattern_stops[tables.pattern_stops["pattern"] == route].sort_values("seq0")
+        assert [stops[call] for call in calls] == rows["stop"].tolist()
+        assert net.expected_s[route] == pytest.approx(sum(seconds[pair] for pair in pairwise(calls)))
+        assert net.travel_s[calls[1], calls[0]] == pytest.approx(mean)  # the table knows only the way out
+    for stop in range(0, len(stops), 7):
         occupancy, boardings = _on_board(tables, stops[stop])
-        assert net.occupancy[k] == pytest.approx(occupancy)
-        assert net.demand[stop] == pytest.approx(boardings)
+        assert net.occupancy[stop] == pytest.approx(min(occupancy, 1.0))
+        assert net.demand[stop] == pytest.approx(min(boardings, 150.0))
     places = tables.stops.set_index("stop").loc[stops]
     north = places["lat"].to_numpy() * 111_320.0
     east = places["lon"].to_numpy() * 111_320.0 * np.cos(np.radians(places["lat"].mean()))
@@ -180,13 +206,23 @@ def test_the_network_follows_the_tables(line: Prepared) -> None:
                 found = [mean] * ((b, a) in seconds) + [apart * 3.6 / 20.0] * (a != b and apart <= 60.0)
             if found:
                 ways[a][b] = min(found)
-    for k in range(0, len(net.call_stop), 7):
-        np.testing.assert_allclose(net.detour_s[k], _shortest(ways, int(net.call_stop[k])), rtol=1e-9)
+    for stop in range(0, len(stops), 7):
+        np.testing.assert_allclose(net.detour_s[stop], _shortest(ways, stop), rtol=1e-9)
     assert np.isfinite(net.detour_s).all()
 
 
+def _line_tables() -> tuple[Tables, list[Any], list[Any]]:
+    """Return the tables of the line, the rows of its links, between stops by their row, and of their weekday
+    times."""
+    tables = scenario_tables("line", 0)
+    row_of = {stop: row for row, stop in enumerate(sorted(tables.stops["stop"]))}
+    links = tables.links.replace({"from_stop": row_of, "to_stop": row_of})
+    times = [row for row in tables.link_times.itertuples() if row.daytype == "weekday"]
+    return tables, list(links.itertuples()), times
+
+
 def _on_board(tables: Tables, stop: int) -> tuple[float, float]:
-    """Return the weekday occupancy, of 80 places, of buses arriving at a stop, and its boardings."""
+    """Return the weekday occupancy, of 80 places, of buses leaving a stop, and its boardings."""
     boards: dict[tuple[int, int], list[float]] = {}
     for row in tables.demand.itertuples():
         if row.daytype == "weekday":
@@ -194,10 +230,11 @@ def _on_board(tables: Tables, stop: int) -> tuple[float, float]:
             boards.setdefault((row.pattern, row.seq0), [0.0] * 4)[period] += row.board
     leaves = {(row.pattern, row.seq0, row.period): row.p_alight for row in tables.alighting.itertuples()}
     load = buses = boardings = 0.0
+    last = tables.pattern_stops.groupby("pattern")["seq0"].max()
     for call in tables.pattern_stops[tables.pattern_stops["stop"] == stop].itertuples():
         for period in range(4):
             on_board = 0.0
-            for seq0 in range(call.seq0):
+            for seq0 in range(call.seq0 + 1 if call.seq0 < last[call.pattern] else 0):
                 on_board *= 1.0 - leaves.get((call.pattern, seq0, period), 0.0)
                 on_board += boards.get((call.pattern, seq0), [0.0] * 4)[period]
             load += on_board

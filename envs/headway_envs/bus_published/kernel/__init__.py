@@ -18,15 +18,15 @@ def warm() -> None:
 
     network = Network(
         route_first=np.array([0, 2]),
-        route_call=np.array([0, 1]),
+        route_stop=np.array([0, 1]),
+        route_share=np.array([1.0]),
         expected_s=np.array([100.0]),
-        call_stop=np.array([0, 1]),
         travel_s=np.full((2, 2), 100.0),
         detour_s=np.array([[0.0, 100.0], [100.0, 0.0]]),
         occupancy=np.array([0.1, 0.2]),
         demand=np.array([1.0, 2.0]),
         centres=np.array([0, 1]),
     )
-    env = BusPublishedBatchedEnv(Prepared(BusPublishedConfig(agents=1), network, ("tiny",), "tiny"), 1)
+    env = BusPublishedBatchedEnv(Prepared(BusPublishedConfig(agents=1), network, "tiny"), 1)
     env.reset(np.zeros(1, np.uint64))
     env.step(np.ones((1, 1), np.int64))

@@ -1,6 +1,6 @@
 """Records and arrays of the kernel.
 
-Axes: C copies, N buses, R routes, K calls (the distinct stops on routes), S stops of the scenario. Times are
+Axes: C copies, N buses, R routes, S stops. Times are
 in seconds; those of clocks are after midnight.
 """
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Record = Any
-"""One element of an array of SETTINGS, BUS, CALL or DAY. Compiled code reads fields as attributes."""
+"""One element of an array of SETTINGS, BUS, STOP or DAY. Compiled code reads fields as attributes."""
 
 WAIT, MOVE, SERVICE_CENTER = 0, 1, 2
 """Actions."""
@@ -43,20 +43,19 @@ class Network(NamedTuple):
     """Part of the simulation that all copies share."""
 
     route_first: NDArray[np.int64]
-    """(R + 1,) position of each route's first call in `route_call`"""
-    route_call: NDArray[np.int64]
-    """calls of route 0 in order, then of route 1, ..."""
+    """(R + 1,) position of each route's first stop in `route_stop`"""
+    route_stop: NDArray[np.int64]
+    """stops of route 0 in order, then of route 1, ..."""
+    route_share: NDArray[np.float64]
+    """(R,) share of the day's trips on this route and those before it: cumulative, the last is 1"""
     expected_s: NDArray[np.float64]
     """(R,) duration of one trip to the end of the route, s"""
-    call_stop: NDArray[np.int64]
-    """(K,) stop of each call"""
     travel_s: NDArray[np.float64]
-    """(S, K) mean time of the link from a stop to a call, s; the mean over all links where there is no
-    link"""
+    """(S, S) time of the link from a stop to another, s; the mean over all links where there is no link"""
     detour_s: NDArray[np.float64]
-    """(K, S) shortest-path time from a call to a stop, s; infinite where there is no path"""
+    """(S, S) shortest-path time from a stop to another, s; infinite where there is no path"""
     occupancy: NDArray[np.float64]
-    """(K,) mean load over CAPACITY"""
+    """(S,) mean load of departing buses over CAPACITY; NaN at stops without buses"""
     demand: NDArray[np.float64]
     """(S,) boardings per day"""
     centres: NDArray[np.int64]
@@ -80,7 +79,7 @@ SETTINGS = np.dtype(
             "stop_unit",
         )
     ]
-    + [(name, np.int64) for name in ("shared", "max_steps", "agents_per_route")],
+    + [(name, np.int64) for name in ("shared", "max_steps")],
     align=True,
 )
 """Numbers of the configuration that the kernel reads. `demand_unit` and `stop_unit` divide demand and stop
@@ -93,6 +92,7 @@ BUS = np.dtype(
         ("occupancy", np.float64),
         ("uptime", np.float64),
         ("fuel", np.float64),
+        ("route", np.int64),
         ("place", np.int64),  # position on its route
         ("stop", np.int64),  # observed stop: that of `place`, or the centre after service
         ("backward", np.int64),  # 1 on the way back
@@ -101,7 +101,7 @@ BUS = np.dtype(
 )
 """State of a bus."""
 
-CALL = np.dtype(
+STOP = np.dtype(
     [
         ("arrivals", np.int64),  # number of arrivals
         ("intervals", np.int64),  # number of intervals above 0
@@ -110,7 +110,7 @@ CALL = np.dtype(
     ],
     align=True,
 )
-"""Arrivals at one call, in the order in which they were simulated. Clocks of buses differ, so an arrival may
+"""Arrivals at one stop, in the order in which they were simulated. Clocks of buses differ, so an arrival may
 lie before an earlier one in time."""
 
 DAY = np.dtype(
@@ -130,8 +130,8 @@ class World(NamedTuple):
     """(C,) DAY records"""
     buses: NDArray[Any]
     """(C, N) BUS records"""
-    calls: NDArray[Any]
-    """(C, K) CALL records"""
+    stops: NDArray[Any]
+    """(C, S) STOP records"""
 
 
 class Outputs(NamedTuple):

@@ -1,4 +1,6 @@
-"""Action of one bus: wait, move to the next call, or go to service."""
+"""Action of one bus: wait, move to the next stop, or go to service."""
+
+import math
 
 from headway_envs.bus_published.kernel.compiled import compiled
 from headway_envs.bus_published.kernel.layout import (
@@ -39,21 +41,20 @@ def _next_place(bus: Record, length: int) -> int:
 
 
 @compiled
-def _move(net: Network, k: Record, world: World, c: int, bus: Record, route: int) -> float:
-    """Drive to the next call and return the reward. The occupancy moves halfway to the mean at the call that
-    the bus leaves."""
-    first, day = net.route_first[route], world.days[c]
-    left = net.route_call[first + bus.place]
-    bus.place = _next_place(bus, net.route_first[route + 1] - first)
-    call = net.route_call[first + bus.place]
-    seconds = net.travel_s[net.call_stop[left], call]
-    bus.occupancy = min(max(0.5 * (bus.occupancy + net.occupancy[left]), 0.0), 1.0)
+def _move(net: Network, k: Record, world: World, c: int, bus: Record) -> float:
+    """Drive to the next stop and return the reward. The occupancy moves halfway to the mean at the stop that
+    the bus leaves, if it is known."""
+    first, day, left = net.route_first[bus.route], world.days[c], bus.stop
+    bus.place = _next_place(bus, net.route_first[bus.route + 1] - first)
+    bus.stop = net.route_stop[first + bus.place]
+    seconds = net.travel_s[left, bus.stop]
+    if not math.isnan(net.occupancy[left]):
+        bus.occupancy = min(max(0.5 * (bus.occupancy + net.occupancy[left]), 0.0), 1.0)
     _pass_time(bus, seconds)
     bus.driven += seconds
-    bus.stop = net.call_stop[call]
     cost = occupancy_cost(k, bus.occupancy)
-    regularity = record_arrival(k, world.calls[c, call], bus.clock)
-    efficiency = min(max(1.0 - bus.driven / net.expected_s[route], 0.0), 1.0)
+    regularity = record_arrival(k, world.stops[c, bus.stop], bus.clock)
+    efficiency = min(max(1.0 - bus.driven / net.expected_s[bus.route], 0.0), 1.0)
     day.moves += 1
     day.occupancy += cost
     day.uptime += bus.uptime
@@ -63,11 +64,11 @@ def _move(net: Network, k: Record, world: World, c: int, bus: Record, route: int
 
 
 @compiled
-def _serve(net: Network, world: World, c: int, bus: Record, call: int) -> float:
+def _serve(net: Network, world: World, c: int, bus: Record) -> float:
     """Drive to the centre, if the fuel lasts, and return the reward. The bus is refuelled, repaired and back
     at its position at once."""
     day = world.days[c]
-    seconds = DETOUR_SHARE * net.detour_s[call, day.centre]
+    seconds = DETOUR_SHARE * net.detour_s[bus.stop, day.centre]
     if bus.fuel < seconds / FUEL_UNIT_S:
         day.refused += 1
         return REFUSED_REWARD
@@ -82,13 +83,12 @@ def _serve(net: Network, world: World, c: int, bus: Record, call: int) -> float:
 @compiled
 def act(net: Network, k: Record, world: World, c: int, n: int, action: int) -> float:
     """Apply the action of a bus and return its reward."""
-    bus, route = world.buses[c, n], n // k.agents_per_route
-    call = net.route_call[net.route_first[route] + bus.place]
-    bus.stop = net.call_stop[call]
+    bus = world.buses[c, n]
+    bus.stop = net.route_stop[net.route_first[bus.route] + bus.place]
     if action == WAIT:
         _pass_time(bus, WAIT_S)
         world.days[c].waits += 1
         return WAIT_REWARD
     if action == MOVE:
-        return _move(net, k, world, c, bus, route)
-    return _serve(net, world, c, bus, call)
+        return _move(net, k, world, c, bus)
+    return _serve(net, world, c, bus)

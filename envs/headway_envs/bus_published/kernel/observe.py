@@ -14,16 +14,13 @@ def observe(net: Network, k: Record, world: World, outputs: Outputs, c: int) -> 
     """
     for n in range(world.buses.shape[1]):
         bus, row = world.buses[c, n], outputs.observations[c, n]
-        route = n // k.agents_per_route
-        first, last = net.route_first[route], net.route_first[route + 1] - 1
-        place = first + bus.place
+        place, last = net.route_first[bus.route] + bus.place, net.route_first[bus.route + 1] - 1
         # At the last stop, which has no next one, use the observed stop and the mean link time instead.
-        following, ahead = net.route_call[place], bus.stop
-        seconds = net.travel_s[net.call_stop[following], following]
+        ahead = bus.stop
+        seconds = net.travel_s[net.route_stop[place], net.route_stop[place]]
         if place < last:
-            following = net.route_call[place + 1]
-            ahead = net.call_stop[following]
-            seconds = net.travel_s[bus.stop, following]
+            ahead = net.route_stop[place + 1]
+            seconds = net.travel_s[bus.stop, ahead]
         row[0] = min(bus.clock / DAY_S, 1.0)
         row[1] = bus.occupancy
         row[2] = min(seconds / LONGEST_LINK_S, 1.0)

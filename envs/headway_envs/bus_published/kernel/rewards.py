@@ -23,20 +23,20 @@ def occupancy_cost(k: Record, occupancy: float) -> float:
 
 
 @compiled
-def record_arrival(k: Record, call: Record, clock: float) -> float:
-    """Record an arrival at a call and return the regularity h there, 0 to 1. Intervals of 0 or less, which
+def record_arrival(k: Record, stop: Record, clock: float) -> float:
+    """Record an arrival at a stop and return the regularity h there, 0 to 1. Intervals of 0 or less, which
     arise because clocks differ between buses, are left out."""
-    if call.arrivals > 0:
-        interval = clock - call.last
+    if stop.arrivals > 0:
+        interval = clock - stop.last
         if interval > 0.0:
             deviation = interval - k.target_headway_s
-            call.intervals += 1
-            call.squares += deviation * deviation
-    call.arrivals += 1
-    call.last = clock
-    if call.arrivals < 3 or call.intervals < 2:
+            stop.intervals += 1
+            stop.squares += deviation * deviation
+    stop.arrivals += 1
+    stop.last = clock
+    if stop.arrivals < 3 or stop.intervals < 2:
         return 0.0
-    return float(1.0 - min(math.sqrt(call.squares / call.intervals) / k.target_headway_s, 1.0))
+    return float(1.0 - min(math.sqrt(stop.squares / stop.intervals) / k.target_headway_s, 1.0))
 
 
 @compiled

@@ -12,33 +12,34 @@ from headway_envs.bus_published.kernel.observe import observe
 from headway_envs.bus_published.kernel.rewards import fill_metrics
 from headway_envs.keyed_random import episode_key, uniform
 
-_CENTRE = 1
-"""Purpose of the draw of the service centre."""
+_CENTRE, _ROUTE = 1, 2
+"""Purposes of the draws of the service centre and of the buses' routes."""
 
 
 @compiled
 def _begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, number: int) -> None:
-    """Put all buses of copy c at the start of their routes, refuelled and repaired, and draw the service
-    centre. The centre depends on the copy's seed only: it is the same on all its days."""
+    """Put all buses of copy c at the start of their routes, refuelled and repaired, and draw the routes and
+    the service centre. They depend on the copy's seed only: they are the same on all its days."""
     day = world.days[c]
     day.seed, day.number = seed, number
     day.step = day.moves = day.waits = day.services = day.refused = 0
     day.reward = day.uptime = day.occupancy = day.regularity = day.efficiency = 0.0
-    count = net.centres.shape[0]
-    drawn = int(uniform(episode_key(seed, 0), _CENTRE, 0, 0) * count)
-    day.centre = net.centres[min(drawn, count - 1)]
+    key, count = episode_key(seed, 0), net.centres.shape[0]
+    day.centre = net.centres[min(int(uniform(key, _CENTRE, 0, 0) * count), count - 1)]
     for n in range(world.buses.shape[1]):
         bus = world.buses[c, n]
-        call = net.route_call[net.route_first[n // k.agents_per_route]]
+        bus.route, drawn = 0, uniform(key, _ROUTE, n, 0)
+        while net.route_share[bus.route] < drawn:
+            bus.route += 1
+        bus.stop = net.route_stop[net.route_first[bus.route]]
         bus.clock, bus.driven = k.start_s, 0.0
         # The released code truncates the mean occupancy at the first stop to an integer.
-        bus.occupancy = 1.0 if net.occupancy[call] >= 1.0 else 0.0
+        bus.occupancy = 1.0 if net.occupancy[bus.stop] >= 1.0 else 0.0
         bus.uptime, bus.fuel = 1.0, FUEL_CAPACITY
         bus.place = bus.backward = 0
-        bus.stop = net.call_stop[call]
-    for call in range(world.calls.shape[1]):
-        world.calls[c, call].arrivals = world.calls[c, call].intervals = 0
-        world.calls[c, call].last = world.calls[c, call].squares = 0.0
+    for stop in range(world.stops.shape[1]):
+        world.stops[c, stop].arrivals = world.stops[c, stop].intervals = 0
+        world.stops[c, stop].last = world.stops[c, stop].squares = 0.0
 
 
 @compiled_apart

@@ -14,7 +14,7 @@ from headway_launch.report.published.episode_metrics import (
     tasks_of,
 )
 from headway_launch.report.study_data import StudyData, mean_of_known
-from headway_launch.studies.runs import configuration
+from headway_launch.studies.runs import configuration, curve_points
 
 if TYPE_CHECKING:
     from headway.store.index import RunRow
@@ -102,10 +102,45 @@ def _comparison(data: StudyData, task: str, number: str) -> list[Part]:
     return [
         _coverage(data, task, table),
         *parts,
+        _first_and_last_rows(data, task, table, number),
         *_missing_seeds(table),
         *_correlations(table, number),
         *_identical_policies(data, task, [str(controller) for controller in table.index]),
     ]
+
+
+def _first_and_last_rows(data: StudyData, task: str, table: pd.DataFrame, number: str) -> Table:
+    """Return the ends of the training curves beside those of the authors' released runs."""
+    points = curve_points(data.runs, "training/return")
+    by_run = (
+        points[points["task"] == task].sort_values("env_steps").groupby(["controller", "run_id"])["value"]
+    )
+    ends = pd.DataFrame({"first": by_run.first(), "last": by_run.last()}).groupby("controller")
+    buses = int(env_of(data, task)["args"]["agents"])
+    exact = (
+        (buses * ends.mean())
+        .join((buses * ends.std()).add_suffix("_std"))
+        .join(table[["first_reward_published", "last_reward_published"]], how="right")
+    )
+    rows = [
+        [
+            str(controller),
+            formatted(row["first_reward_published"], 1),
+            with_deviation(row["first"], row["first_std"], 1),
+            formatted(row["last_reward_published"], 1),
+            with_deviation(row["last"], row["last_std"], 1),
+        ]
+        for controller, row in exact.iterrows()
+    ]
+    return Table(
+        f"busenv_rows{number}",
+        f"Ends of the training curves{data.where(task)}: the first and the last row of one of the authors' "
+        "released runs (each the mean over the last 100 days), and the first and the last iteration here in "
+        "which days ended, mean ± standard deviation over seeds. The first rows show chance.",
+        ["controller", "released: first row", "here: first", "released: last row", "here: last"],
+        rows,
+        exact.rename_axis("controller").reset_index(),
+    )
 
 
 def _coverage(data: StudyData, task: str, table: pd.DataFrame) -> str:

@@ -65,7 +65,7 @@ def test_training_rewards_are_summed_over_buses_and_ranked(keep_run: Keep, root:
     assert "The rule that always moves earns 77.50 here" in said  # 5 buses, days of 14 to 17
     assert "1 of 3 learners are within 5% of it (ippo)" in said
     assert "earns 492.5. So always moving is not optimal." in said
-    assert "only partly public" in said
+    assert "copies of one run" in said
     assert "64 cores and 5 GPUs" in said
     assert "During training" not in said
     assert "9 published algorithms, each with 50 seeds, 3 have finished runs here, with 2 seeds each" in said
@@ -74,6 +74,22 @@ def test_training_rewards_are_summed_over_buses_and_ranked(keep_run: Keep, root:
     assert "same policy" not in said
     assert "averaged only over" not in said
     assert "+1.00 (0.33)" in tables(found)["busenv_ranks"].rows[0]
+
+
+def test_ends_of_training_curves_stand_beside_those_of_the_released_runs(keep_run: Keep, root: Path) -> None:
+    """In the fixture the training curve climbs from 0 to half of the final value."""
+    for algorithm, final in (("maa2c", 16.0), ("ia2c", 10.0)):
+        for seed in range(2):
+            keep_run((TABLE3, f"algo={algorithm}"), seed, final + seed)
+    table = tables(section(root))["busenv_rows"]
+    exact = table.exact.set_index("controller")
+    assert exact.loc["maa2c", ["first", "last"]].tolist() == pytest.approx([0.0, 5 * 16.5 / 2])
+    assert exact.loc["maa2c", "last_std"] == pytest.approx(5 * 0.5 / 2 * 2**0.5)
+    assert exact.loc["maa2c", ["first_reward_published", "last_reward_published"]].tolist() == [
+        -517.23,
+        77.05,
+    ]
+    assert {row[0]: row[1] for row in table.rows} == {"ia2c": "\N{EN DASH}", "maa2c": "-517.2"}
 
 
 def test_seeds_without_a_value_are_counted(keep_run: Keep, root: Path) -> None:
