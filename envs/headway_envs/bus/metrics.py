@@ -25,6 +25,21 @@ METRIC_DESCRIPTIONS = {
     "reward_maintenance": "maintenance component m, mean over control intervals, unweighted: 0 or less, for "
     "breakdowns, low fuel and low uptime",
     "reward_regularity": "regularity component c, mean over control intervals, unweighted",
+    "holding_s_per_stop": "average holding per stop (AHD): holding time at stops per departure from a stop "
+    "other than the first of a trip, s",
+    "occupancy_dispersion": "average occupancy dispersion (AOD): variance over mean of the load of arriving "
+    "buses, by stop of a pattern; mean over the stops with at least two arrivals (passengers)",
+    "travel_min": "mean_wait_min plus in_vehicle_min, minutes",
+    "queueing_min": "part of mean_wait_min that begins when the first bus leaves without the passenger, "
+    "because it is full, minutes",
+    "schedule_deviation_s": "mean absolute difference between departure and planned time, at departures "
+    "from all stops but the last, s",
+    "headway_sd_s": "standard deviation of the headways at departure, by stop of a pattern over the day, s; "
+    "mean over the stops with at least two headways",
+    "headway_cv_by_stop": "coefficient of variation of the headways at departure, by stop of a pattern over "
+    "the day, with the planned changes of headway; mean over the stops with at least two headways",
+    "bunching_events": "number of times that a bus closes up: it leaves a stop with a headway below a "
+    "quarter of the target, after a larger one at its last departure of the trip or as the first departure",
     "team_reward": "sum of the team's reward over the day, equal to the return with "
     "env.args.reward.scope=team: number of control intervals (length) * (0.4 reward_service + 0.1 "
     "reward_efficiency + 0.1 reward_maintenance + 0.4 reward_regularity), with the weights "

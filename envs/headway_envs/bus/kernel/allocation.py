@@ -3,6 +3,7 @@
 import numpy as np
 
 from headway_envs.bus.kernel.layout import (
+    CALL,
     DAY,
     DAY_STATE,
     LINE,
@@ -28,6 +29,7 @@ def allocate_world(net: Network, copies: int, capacity: int) -> World:
         slots=np.zeros((copies, slots), SLOT),
         event_time=np.zeros((copies, slots)),
         queues=np.zeros((copies, calls), QUEUE),
+        calls=np.zeros((copies, calls), CALL),
         arrived_at=np.zeros((copies, storage)),
         leaves_at=np.zeros((copies, storage)),
         patterns=np.zeros((copies, patterns), PATTERN),

@@ -58,6 +58,7 @@ def begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, ep
     world.loads[c] = 0
     world.slots[c] = np.zeros(1, world.slots.dtype)[0]
     world.queues[c] = np.zeros(1, world.queues.dtype)[0]
+    world.calls[c] = np.zeros(1, world.calls.dtype)[0]
     draw_congestion(k, world, c)
     for p in range(net.pattern_calls.shape[0] - 1):
         world.patterns[c, p].last_finish = -1.0
@@ -92,6 +93,29 @@ def quantile_of_counts(counts: NDArray[np.uint32], share: float) -> float:
     return 0.0
 
 
+@compiled
+def fill_call_metrics(world: World, c: int, metrics: NDArray[np.float64]) -> None:
+    """Fill the dispersion of loads, and sd and coefficient of variation of headways: means over the calls."""
+    loads, dispersion = 0, 0.0
+    headways, spread, relative = 0, 0.0, 0.0
+    for call in range(world.calls.shape[1]):
+        at = world.calls[c, call]
+        if at.arrivals >= 2:
+            loads += 1
+            mean = at.load / at.arrivals
+            # A stop that only empty buses reach has no dispersion.
+            dispersion += max(at.load_squared / at.arrivals - mean * mean, 0.0) / max(mean, 1e-9)
+        if at.headways >= 2:
+            headways += 1
+            mean = at.headway / at.headways
+            sd = math.sqrt(max(at.headway_squared / at.headways - mean * mean, 0.0))
+            spread += sd
+            relative += sd / max(mean, 1e-9)
+    metrics[22] = dispersion / max(loads, 1)
+    metrics[26] = spread / max(headways, 1)
+    metrics[27] = relative / max(headways, 1)
+
+
 @compiled_allocating
 def end_day(net: Network, k: Record, world: World, c: int, metrics: NDArray[np.float64]) -> None:
     """Fill the episode metrics, in the order of `metrics.METRICS`. Passengers still waiting count with their
@@ -101,8 +125,9 @@ def end_day(net: Network, k: Record, world: World, c: int, metrics: NDArray[np.f
     for p in range(net.pattern_calls.shape[0] - 1):
         for call in range(net.pattern_calls[p], net.pattern_calls[p + 1] - 1):
             update_queue(net, k, world, c, call, p, day.now)
-            first = net.queue_first[call]
-            for i in range(world.queues[c, call].waiting):
+            first, queue = net.queue_first[call], world.queues[c, call]
+            day.queueing += queue.denied * (day.now - queue.last_departure)
+            for i in range(queue.waiting):
                 wait = day.now - world.arrived_at[c, first + i]
                 still_waiting += 1
                 day.wait += wait
@@ -116,7 +141,8 @@ def end_day(net: Network, k: Record, world: World, c: int, metrics: NDArray[np.f
     mean_ratio = day.headway_ratio / headways
     spread = max(day.headway_ratio_squared / headways - mean_ratio * mean_ratio, 0.0)
     durations = world.trip_time[c][~np.isnan(world.trip_time[c])]
-    metrics[0] = day.wait / max(day.boarded + still_waiting, 1) / 60.0
+    waits, stops = max(day.boarded + still_waiting, 1), day.loads - np.sum(world.departed[c])
+    metrics[0] = day.wait / waits / 60.0
     metrics[1] = quantile_of_counts(world.waits[c], 0.95) / 60.0
     metrics[2] = day.captive_wait / max(day.captive_boarded, 1.0) / 60.0
     # Random arrivals wait E[h^2] / (2 E[h]) on average for headways h, and E[h h*] / (2 E[h]) at targets h*.
@@ -141,4 +167,10 @@ def end_day(net: Network, k: Record, world: World, c: int, metrics: NDArray[np.f
     metrics[18] = day.efficiency / ticks
     metrics[19] = day.maintenance / ticks
     metrics[20] = day.regularity / ticks
-    metrics[21] = day.reward
+    metrics[21] = day.held / max(stops, 1)
+    fill_call_metrics(world, c, metrics)
+    metrics[23] = metrics[0] + metrics[11]
+    metrics[24] = day.queueing / waits / 60.0
+    metrics[25] = day.schedule_deviation / loads
+    metrics[28] = day.bunching_events
+    metrics[29] = day.reward

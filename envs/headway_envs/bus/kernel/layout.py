@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Record = Any
-"""One element of an array of SETTINGS, SLOT, QUEUE, PATTERN, LINE or DAY. Compiled code reads fields as
+"""One element of an array of SETTINGS, SLOT, QUEUE, CALL, PATTERN, LINE or DAY. Compiled code reads fields as
 attributes."""
 
 FIRST_KNOT_HOUR = 3
@@ -199,6 +199,19 @@ QUEUE = np.dtype(
 )
 """State of the queue at one call."""
 
+CALL = np.dtype(
+    [
+        ("headway", np.float64),  # sum of headways, s
+        ("headway_squared", np.float64),
+        ("headways", np.uint32),
+        ("arrivals", np.uint32),
+        ("load", np.uint32),  # sum of the loads of arriving buses
+        ("load_squared", np.uint32),
+    ],
+    align=True,
+)
+"""Totals of the day at one call. Not in QUEUE, which every control interval scans."""
+
 PATTERN = np.dtype([("last_finish", np.float64), ("next_trip", np.int64)], align=True)
 """State of one pattern: time of the last arrival at its end, and its first trip that has not left."""
 
@@ -232,6 +245,7 @@ COUNTS = [
     "breakdowns",
     "headways",
     "bunched",
+    "bunching_events",
     "loads",
 ]
 """Integer totals of a day, in DAY."""
@@ -248,6 +262,8 @@ SUMS = [
     "ride",
     "fuel",
     "held",
+    "queueing",
+    "schedule_deviation",
     "reward",
     "service",
     "efficiency",
@@ -277,6 +293,8 @@ class World(NamedTuple):
     """(C, N) time of each slot's next event, s"""
     queues: NDArray[Any]
     """(C, Q) QUEUE records"""
+    calls: NDArray[Any]
+    """(C, Q) CALL records"""
     arrived_at: NDArray[np.float64]
     """(C, storage) arrival times of waiting passengers, one call after the other, first come first"""
     leaves_at: NDArray[np.float64]

@@ -125,15 +125,25 @@ def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         headway = time - queue.last_departure
         target = interpolate(net.target, slot.pattern, time)
         ratio = headway / target
-        slot.headway_ratio = ratio
         day.headways += 1
-        day.bunched += ratio < 0.25
+        if ratio < 0.25:
+            day.bunched += 1
+            day.bunching_events += slot.phase == DISPATCHED or slot.headway_ratio >= 0.25
+        slot.headway_ratio = ratio
         day.headway_ratio += ratio
         day.headway_ratio_squared += ratio * ratio
         day.headway += headway
         day.headway_squared += headway * headway
         day.headway_target += headway * target
+        call = world.calls[c, slot.call]
+        call.headways += 1
+        call.headway += headway
+        call.headway_squared += headway * headway
+        # Those who were left behind before have waited since, for this bus in vain.
+        day.queueing += queue.denied * headway
     queue.last_departure = time
+    departure = net.trip_departure[slot.trip]
+    day.schedule_deviation += abs(time - departure - interpolate(net.nominal, slot.call, departure))
     # Passengers who still wait when a bus leaves were left behind by a full bus.
     day.denied += queue.waiting
     queue.denied = queue.waiting
@@ -159,6 +169,10 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
     slot, day = world.slots[c, n], world.days[c]
     charge_upkeep(k, world, c, n, time, 1.0)
     slot.call += 1
+    call = world.calls[c, slot.call]
+    call.arrivals += 1
+    call.load += slot.load
+    call.load_squared += slot.load * slot.load
     share = net.alighting[slot.call, period_of(time)]
     alighting = 0
     if slot.load > 0:

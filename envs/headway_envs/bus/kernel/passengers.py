@@ -111,6 +111,7 @@ def board(net: Network, k: Record, world: World, c: int, n: int, time: float) ->
         world.leaves_at[c, first + i - boarding] = world.leaves_at[c, first + i]
     # The queue is a prefix of its storage, so the others have moved up.
     queue.waiting -= boarding
+    day.queueing += min(boarding, queue.denied) * (time - queue.last_departure)
     queue.denied = max(queue.denied - boarding, 0)
     day.boarded += boarding
     change_load(day, slot, boarding, time)
