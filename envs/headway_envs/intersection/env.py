@@ -14,9 +14,9 @@ from headway_envs.intersection.metrics import METRICS
 from headway_envs.intersection.observation import features
 from headway_envs.intersection.prepared import Prepared
 from headway_envs.intersection.sumo.bridge import Changes, SumoBridge
-from headway_envs.intersection.sumo.scenario import episode_draws
-from headway_envs.intersection.sumo.simulation import Simulation
+from headway_envs.intersection.sumo.scenario import OPTIONS, episode_draws
 from headway_envs.step_arrays import step_arrays, step_result
+from headway_envs.sumo_simulation import Simulation
 
 
 class IntersectionBatchedEnv:
@@ -78,7 +78,7 @@ class IntersectionBatchedEnv:
         """Vehicles and simulation, for rules and pictures; created at the first use."""
         if self._street is None:
             prepared = self.prepared
-            simulation = Simulation(prepared.network.path, prepared.routes)
+            simulation = Simulation(prepared.network.path, prepared.routes, OPTIONS)
             self._street = SumoBridge(prepared.config, prepared.network, simulation)
         return self._street
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from headway_envs.intersection.config import IntersectionConfig
 from headway_envs.intersection.demand import routes_xml
 from headway_envs.intersection.network import Network, network_file
-from headway_envs.intersection.sumo.simulation import require_sumo
+from headway_envs.sumo_simulation import require_sumo
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from headway_envs.intersection.config import IntersectionConfig, RewardConfig
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.network import ROAD_M
 from headway_envs.intersection.prepared import prepare
-from headway_envs.intersection.sumo.simulation import libsumo
+from headway_envs.sumo_simulation import libsumo
 
 Open = Callable[..., Any]
 FULL, NOTHING = np.full((1, 96, 1), 3, np.float32), np.zeros((1, 96, 1), np.float32)
@@ -236,8 +236,8 @@ def test_a_deleted_environment_releases_the_simulation(crossing: Open) -> None:
 
 
 def test_without_sumo_the_error_names_the_installation(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("headway_envs.intersection.sumo.simulation.find_spec", lambda name: None)
-    line = r'the intersection needs SUMO, which is not installed: pip install "headway\[sumo\]"$'
+    monkeypatch.setattr("headway_envs.sumo_simulation.find_spec", lambda name: None)
+    line = r'the environment needs SUMO, which is not installed: pip install "headway\[sumo\]"$'
     with pytest.raises(HeadwayError, match=line):
         prepare(IntersectionConfig())
     assert importlib.util.find_spec("libsumo") is not None

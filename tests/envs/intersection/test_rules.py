@@ -12,7 +12,7 @@ from headway_envs.intersection.entry import ENTRY
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.network import ROAD_M
 from headway_envs.intersection.rules import Reservation, VirtualSignal
-from headway_envs.intersection.sumo.simulation import libsumo
+from headway_envs.sumo_simulation import libsumo
 
 Open = Callable[..., Any]
 

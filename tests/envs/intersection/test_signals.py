@@ -25,7 +25,7 @@ from headway_envs.intersection.layout import (
 )
 from headway_envs.intersection.metrics import METRICS
 from headway_envs.intersection.sumo.human_drivers import acceleration
-from headway_envs.intersection.sumo.simulation import libsumo
+from headway_envs.sumo_simulation import libsumo
 
 Open = Callable[..., Any]
 SEED, ONES = np.array([3], np.uint64), np.ones((1, 96, 1), np.float32)

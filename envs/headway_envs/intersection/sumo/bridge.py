@@ -23,7 +23,7 @@ from headway_envs.intersection.layout import (
 from headway_envs.intersection.network import APPROACHES, LINKS, ROAD_M, Network
 from headway_envs.intersection.sumo.human_drivers import next_speeds
 from headway_envs.intersection.sumo.roster import Roster
-from headway_envs.intersection.sumo.simulation import Simulation
+from headway_envs.sumo_simulation import Simulation
 
 NO_LANE_CHANGES = 512
 _SUMO_CONTROL = -1.0

@@ -4,6 +4,7 @@ libsumo would silently replace a simulation by a second one, so the owner of the
 """
 
 import weakref
+from collections.abc import Mapping
 from contextlib import redirect_stdout
 from importlib.util import find_spec
 from io import StringIO
@@ -11,9 +12,8 @@ from tempfile import NamedTemporaryFile
 from typing import Any
 
 from headway.contracts import HeadwayError
-from headway_envs.intersection.sumo.scenario import OPTIONS
 
-INSTALL = 'the intersection needs SUMO, which is not installed: pip install "headway[sumo]"'
+INSTALL = 'the environment needs SUMO, which is not installed: pip install "headway[sumo]"'
 
 _owner: "weakref.ref[Simulation] | None" = None
 
@@ -39,11 +39,12 @@ def libsumo() -> Any:  # noqa: ANN401 - libsumo has no types
 class Simulation:
     """One simulation, reloaded for every episode. Not picklable, and bound to the thread that starts it."""
 
-    def __init__(self, network: str, routes: str) -> None:
-        """`network`: path of the network file; `routes`: content of a SUMO route file."""
+    def __init__(self, network: str, routes: str, options: Mapping[str, str]) -> None:
+        """`network`: path of the network file; `routes`: content of a SUMO route file; `options`: SUMO's
+        other options by name, except the seed."""
         self._routes = routes
         self._options = ["-n", network]
-        self._options += [word for name, value in OPTIONS.items() for word in (f"--{name}", value)]
+        self._options += [word for name, value in options.items() for word in (f"--{name}", value)]
         self.sumo = libsumo()
 
     def begin(self, seed: int) -> None:
@@ -72,7 +73,18 @@ class Simulation:
                     self.sumo.start(["sumo", *options])
             except self.sumo.TraCIException as error:
                 self.close()
-                raise HeadwayError(f"SUMO cannot load the intersection: {error}") from error
+                raise HeadwayError(f"SUMO cannot load the network or the demand: {error}") from error
+
+    def step(self) -> None:
+        """Advance by one step.
+
+        Raises HeadwayError if SUMO cannot go on, with a vehicle without a route for instance.
+        """
+        try:
+            self.sumo.simulation.step()
+        except (self.sumo.TraCIException, self.sumo.FatalTraCIError) as error:
+            self.close()
+            raise HeadwayError(f"SUMO stopped the episode: {error}") from error
 
     def close(self) -> None:
         """Release the simulation for other environments of this process."""
