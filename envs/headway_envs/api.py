@@ -12,6 +12,7 @@ from headway.contracts.lazy import lazy_attributes
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus_published.config import BusPublishedConfig
 from headway_envs.intersection.config import IntersectionConfig
+from headway_envs.junctions.config import JunctionsConfig
 from headway_envs.merge.config import MergeConfig
 from headway_envs.registry import ENTRIES
 
@@ -34,6 +35,7 @@ __all__ = [
     "BusConfig",
     "BusPublishedConfig",
     "IntersectionConfig",
+    "JunctionsConfig",
     "MergeConfig",
     "ParallelEnvBase",
     "call_km",

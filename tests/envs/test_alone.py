@@ -6,7 +6,7 @@ from linked_packages import link_packages, run_with_packages
 
 from headway_envs.registry import ENTRIES
 
-WITH_MORE = {"intersection", "bus_published"}
+WITH_MORE = {"intersection", "junctions", "bus_published"}
 """Environments that need more: SUMO, and pandas with SciPy."""
 PROGRAM = """
 import sys

@@ -8,6 +8,7 @@ import pytest
 import headway_envs.bus.config as bus
 import headway_envs.bus_published.config as published
 import headway_envs.intersection.config as intersection
+import headway_envs.junctions.config as junctions
 import headway_envs.merge.config as merge
 from headway_envs.toy.matrix import MatrixConfig
 from headway_envs.toy.recall import RecallConfig
@@ -71,6 +72,22 @@ NO_PUBLISHED_WEIGHTS = dict.fromkeys(("occupancy", "uptime", "regularity", "effi
         ),
         (intersection.IntersectionConfig, {"at_exit": "done"}, "must be one of truncated, terminated"),
         (intersection.RewardConfig, {"kind": "paper", "scope": "own"}, "scope=own is for kind=scaled"),
+        (
+            junctions.JunctionsConfig,
+            {"demand": "0x700"},
+            "demand must have numbers between 1 and 3,600, not '0x",
+        ),
+        (junctions.JunctionsConfig, {"network": ""}, "network must not be empty"),
+        (
+            junctions.JunctionsConfig,
+            {"network": "my.net.xml"},
+            "demand must be a route file .* not '700x700'",
+        ),
+        (junctions.JunctionsConfig, {"automated_share": 0.0}, "automated_share must lie in .0, 1., not 0.0"),
+        (junctions.JunctionsConfig, {"step_s": 0.0}, "step_s must lie in .0, 10., not 0.0"),
+        (junctions.JunctionsConfig, {"lead_in_s": -1}, "lead_in_s must be at least 0, not -1"),
+        (junctions.JunctionsConfig, {"approaches": 1}, "approaches must be at least 2, not 1"),
+        (junctions.JunctionsConfig, {"hdv_speed_mode": 128}, "hdv_speed_mode must lie between 0 and 127"),
         (TrivialConfig, {"agents": 0}, "agents must be at least 1, not 0"),
         (TrivialConfig, {"steps": 0}, "steps must be at least 1, not 0"),
         (MatrixConfig, {"payoff": ((1.0, 2.0),)}, "as many columns as rows"),

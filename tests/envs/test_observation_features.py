@@ -16,7 +16,7 @@ Quantities = Mapping[str, float]
 
 
 def made(name: str, copies: int = 1, **arguments: Any) -> Any:  # noqa: ANN401 - an environment with its world
-    if name == "intersection":
+    if name in ("intersection", "junctions"):
         pytest.importorskip("libsumo", reason="SUMO (headway[sumo]) is not installed")
     entry = ENTRIES[name]
     return entry.make(entry.prepare(entry.config(**arguments)), copies)

@@ -76,6 +76,7 @@ TASKS = {
     "bus_published": Task("bus_published", {"scenario": "line"}, groups=1),
     # The first automated vehicles enter within 100 steps; a process holds one copy.
     "intersection": Task("intersection", {"slots": 5, "horizon": 100}, 110, seeds=(3,), copies=1, space=Box),
+    "junctions": Task("junctions", {"slots": 20, "horizon": 40}, 30, seeds=(3,), copies=1),
     "tracking": Task("tracking", {"steps": 8}, space=Box),
     "trivial": Task("trivial", {"agents": 3, "steps": 8}),
     "dials": Task("dials", space=MultiDiscrete),
@@ -95,7 +96,7 @@ class Prepared:
 
 @cache
 def prepared(task: str) -> Prepared:
-    if task == "intersection":
+    if task in ("intersection", "junctions"):
         pytest.importorskip("libsumo", reason="SUMO (headway[sumo]) is not installed")
     entry = DIALS if task == "dials" else env_entry(TASKS[task].env)
     shared = entry.prepare(build(entry.config, TASKS[task].arguments))
@@ -274,7 +275,7 @@ def test_off_policy_algorithms_have_no_recurrent_core(algorithm: str) -> None:
 
 
 def test_tasks_cover_action_spaces_and_optional_features() -> None:
-    specs = [prepared(task).spec for task in TASKS if task != "intersection"]
+    specs = [prepared(task).spec for task in TASKS if task not in ("intersection", "junctions")]
     assert {type(spec.action_space) for spec in specs} == {Discrete, MultiDiscrete, Box}
     for feature in ("agents_come_and_go", "has_action_mask", "shared_reward", "groups"):
         assert {bool(getattr(spec, feature)) for spec in specs} == {True, False}

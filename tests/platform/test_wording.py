@@ -25,7 +25,7 @@ def test_a_metric_is_named_with_the_unit_of_its_description(environment: str, me
 
 
 def test_every_metric_whose_name_ends_in_a_unit_states_it_in_its_description() -> None:
-    for environment in ("bus", "bus_published", "merge", "intersection"):
+    for environment in ("bus", "bus_published", "merge", "intersection", "junctions"):
         for metric, description in env_entries()[environment].metrics.items():
             if metric.rpartition("_")[2] in ("min", "s", "m", "ms", "vph"):
                 assert ", " in readable_metric(metric, description), (environment, metric)

@@ -20,12 +20,16 @@ from headway_envs.registry import ENTRIES
 pytestmark = pytest.mark.slow
 
 WITH_PARALLEL_ENV = [name for name, entry in ENTRIES.items() if entry.parallel_env is not None]
-SHORT: dict[str, dict[str, Any]] = {"intersection": {"horizon": 400}, "bus_published": {"scenario": "line"}}
+SHORT: dict[str, dict[str, Any]] = {
+    "intersection": {"horizon": 400},
+    "junctions": {"horizon": 80, "slots": 40},
+    "bus_published": {"scenario": "line"},
+}
 """Arguments that shorten environments with long episodes or slow preparation."""
 
 
 def config_of(name: str) -> Any:  # noqa: ANN401 - the entry's record
-    if name == "intersection":
+    if name in ("intersection", "junctions"):
         pytest.importorskip("libsumo", reason="SUMO (headway[sumo]) is not installed")
     return ENTRIES[name].config(**SHORT.get(name, {}))
 

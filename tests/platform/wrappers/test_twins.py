@@ -38,6 +38,7 @@ CASES: dict[str, tuple[str, list[Any]]] = {
 SHORT: dict[str, dict[str, Any]] = {
     "bus": {"end_hour": 8},
     "intersection": {"horizon": 110},
+    "junctions": {"horizon": 60, "slots": 40},
     "bus_published": {"scenario": "line"},
 }
 """Arguments of environments whose episodes are long."""

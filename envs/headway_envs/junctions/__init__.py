@@ -1,0 +1,1 @@
+"""Junctions of any SUMO network, where automated vehicles among human drivers decide when to go."""

@@ -1,0 +1,47 @@
+"""Registry entry of the junctions."""
+
+from functools import partial
+
+from headway.contracts import RANDOM, EnvEntry, Lazy, RuleEntry
+from headway_envs.junctions.config import JunctionsConfig
+from headway_envs.junctions.metrics import METRIC_DESCRIPTIONS
+
+_RULES = "headway_envs.junctions.rules"
+
+ENTRY = EnvEntry(
+    summary="Automated vehicles at junctions without signals, in any SUMO network (SUMO)",
+    config=JunctionsConfig,
+    make=Lazy("headway_envs.junctions.env:JunctionsBatchedEnv"),
+    prepare=Lazy("headway_envs.junctions.prepared:prepare"),
+    parallel_env=Lazy("headway_envs.junctions.parallel:JunctionsSlotsParallelEnv"),
+    rules={
+        "human": RuleEntry(
+            "SUMO drives all vehicles as humans, with all checks including right of way (speed mode 31)",
+            partial(Lazy(f"{_RULES}:Humans"), right_of_way=True),
+        ),
+        "human_mode1": RuleEntry(
+            "SUMO drives all vehicles as humans that only keep a safe gap to the leader (speed mode 1)",
+            partial(Lazy(f"{_RULES}:Humans"), right_of_way=False),
+        ),
+        "signal": RuleEntry(
+            "the network's traffic lights with their fixed times, for all vehicles",
+            Lazy(f"{_RULES}:FixedSignal"),
+        ),
+        "signal_best": RuleEntry(
+            "the signal with the greens that Yan and Wu (2021, arXiv:2111.04686) found best for the demand",
+            partial(Lazy(f"{_RULES}:FixedSignal"), best=True),
+        ),
+        "max_pressure": RuleEntry(
+            "the network's traffic lights by max pressure, every 12 s (Varaiya 2013)",
+            Lazy(f"{_RULES}:MaxPressure"),
+        ),
+        "full_throttle": RuleEntry(
+            "all automated vehicles accelerate at every step",
+            partial(Lazy("headway_envs.constant_action:ConstantAction"), action=2),
+        ),
+        "random": RANDOM,
+    },
+    metrics=METRIC_DESCRIPTIONS,
+    renderer=Lazy("headway_envs.junctions.renderer:JunctionsRenderer"),
+    preload=("headway_envs.junctions.kernel", "headway_envs.junctions.env"),
+)

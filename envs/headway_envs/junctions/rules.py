@@ -1,0 +1,145 @@
+"""Controllers for comparison: human drivers, and traffic lights that human drivers obey."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headway.contracts import BatchedEnv, HeadwayError, Observations
+from headway_envs.junctions.env import JunctionsBatchedEnv
+from headway_envs.junctions.network import Signal
+from headway_envs.junctions.prepared import Prepared
+
+ALL_CHECKS, SAFE_GAP_ONLY = 31, 1
+"""SUMO's speed modes: all checks, including right of way; only a safe gap to the leader."""
+BEST_GREENS_S: Mapping[tuple[int, int], tuple[float, float]] = {
+    (1000, 400): (25, 11), (1000, 550): (25, 14), (1000, 700): (29, 22), (1000, 850): (25, 25),
+    (850, 400): (25, 25), (850, 550): (25, 25), (850, 700): (25, 25), (850, 850): (28, 28),
+    (850, 1000): (25, 25), (700, 700): (25, 25), (700, 850): (25, 25), (700, 1000): (22, 29),
+    (550, 850): (25, 25), (550, 1000): (14, 25), (400, 850): (25, 25), (400, 1000): (11, 25),
+}  # fmt: skip
+"""Greens of the horizontal and the vertical road, s, by demand, vehicles per hour and direction, that Yan and
+Wu found best."""
+BETWEEN_DECISIONS_S = 12.0
+"""Time between two decisions of max pressure, s: the best of Yan and Wu."""
+
+
+def _require_junctions(env: BatchedEnv) -> JunctionsBatchedEnv:
+    if not isinstance(env, JunctionsBatchedEnv):
+        raise TypeError(f"the junctions' rules need a JunctionsBatchedEnv, not {type(env).__name__}")
+    return env
+
+
+def _no_actions(observed: Observations) -> NDArray[np.int64]:
+    return np.ones(observed.alive.shape, np.int64)
+
+
+@dataclass(frozen=True)
+class Humans:
+    """SUMO drives all vehicles as humans, including the automated ones."""
+
+    prepared: Prepared
+    right_of_way: bool
+    """True: drivers apply all checks, including right of way. False: only a safe gap to the leader."""
+
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
+        """Return actions (1, N), which the environment ignores."""
+        mode = ALL_CHECKS if self.right_of_way else SAFE_GAP_ONLY
+        _require_junctions(env).traffic.hand_over(mode)
+        return _no_actions(observed)
+
+
+def _signals(prepared: Prepared) -> Mapping[str, Signal]:
+    """Return the network's traffic lights. Raises HeadwayError if it has none."""
+    if not prepared.network.signals:
+        raise HeadwayError(
+            f"network {prepared.config.network} has no traffic lights: build one with netconvert "
+            "--tls.guess or --tls.set, or leave out the rules signal and max_pressure; lights are off "
+            "except under these rules"
+        )
+    return prepared.network.signals
+
+
+class FixedSignal:
+    """Traffic lights with fixed times, which all vehicles obey as humans do."""
+
+    def __init__(self, prepared: Prepared, best: bool = False) -> None:
+        """`best`: the greens that Yan and Wu found best for the demand, instead of those in the network's
+        file. Raises HeadwayError if they are not known, or for a network without traffic lights."""
+        self._signals = dict(_signals(prepared))
+        if best:
+            greens = BEST_GREENS_S.get(prepared.config.vph or (0, 0))
+            if greens is None:
+                raise HeadwayError(
+                    "signal_best is for network four_way with one of the demands "
+                    f"{', '.join(f'{h}x{v}' for h, v in BEST_GREENS_S)}; use signal"
+                )
+            horizontal, vertical = greens
+            [(name, signal)] = self._signals.items()
+            phases = tuple(zip((vertical, horizontal), (state for _, state in signal.phases), strict=True))
+            self._signals[name] = replace(signal, phases=phases)
+
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
+        """Return actions (1, N), which the environment ignores."""
+        native = _require_junctions(env)
+        native.traffic.hand_over(ALL_CHECKS)
+        for name, signal in self._signals.items():
+            place = native.steps_taken * native.config.step_s % sum(length for length, _ in signal.phases)
+            for length, state in signal.phases:
+                if place < length:
+                    native.traffic.set_signal(name, state)
+                    break
+                place -= length
+        return _no_actions(observed)
+
+
+class MaxPressure:
+    """Traffic lights that give green, every 12 s, to the phase with the highest pressure: vehicles on the
+    lanes before its links minus those on the lanes behind them (Varaiya 2013,
+    doi:10.1016/j.trc.2013.08.014).
+
+    A link that loses its green is yellow for as long as in the network's program."""
+
+    def __init__(self, prepared: Prepared) -> None:
+        """Raises HeadwayError for a network without traffic lights."""
+        self._signals = _signals(prepared)
+        self._greens = {
+            name: [state for _, state in signal.phases if "y" not in state.lower()]
+            for name, signal in self._signals.items()
+        }
+        self._shown: dict[str, str] = {}
+
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
+        """Return actions (1, N), which the environment ignores."""
+        native = _require_junctions(env)
+        traffic, step_s = native.traffic, native.config.step_s
+        traffic.hand_over(ALL_CHECKS)
+        since = native.steps_taken * step_s % BETWEEN_DECISIONS_S
+        for name, signal in self._signals.items():
+            yellow_s = min((length for length, state in signal.phases if "y" in state.lower()), default=0.0)
+            if native.steps_taken == 0:
+                self._shown[name] = self._greens[name][0]
+                traffic.set_signal(name, self._shown[name])
+            elif since < step_s:
+                before, after = self._shown[name], self._best(native, name)
+                self._shown[name] = after
+                yellow = "".join(
+                    "y" if was in "gG" and then not in "gG" else was
+                    for was, then in zip(before, after, strict=True)
+                )
+                traffic.set_signal(name, yellow if yellow_s else after)
+            elif since >= yellow_s > since - step_s:
+                traffic.set_signal(name, self._shown[name])
+        return _no_actions(observed)
+
+    def _best(self, env: JunctionsBatchedEnv, name: str) -> str:
+        """Return the state with the highest pressure; the first of several."""
+        links, count = self._signals[name].links, env.traffic.vehicles_on
+        pressures = [count(before) - count(behind) for before, behind in links]
+        return max(
+            self._greens[name],
+            key=lambda state: sum(
+                pressure for pressure, light in zip(pressures, state, strict=True) if light in "gG"
+            ),
+        )

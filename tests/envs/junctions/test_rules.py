@@ -1,0 +1,98 @@
+"""Traffic lights under the rules, and human drivers."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from headway.contracts import HeadwayError
+from headway_envs.junctions.entry import ENTRY
+from headway_envs.sumo_simulation import libsumo
+
+Open = Callable[..., Any]
+SEED = np.array([3], np.uint64)
+
+
+def _states(env: Any, rule: str, steps: int, light: str = "centre") -> list[str]:  # noqa: ANN401 - an environment
+    """Return the state of a traffic light in each step under a rule."""
+    controller, observed, found = ENTRY.rules[rule].make(env.prepared), env.reset(SEED), []
+    for _ in range(steps):
+        _, observed = env.step(controller.act(env, observed))
+        found.append(libsumo().trafficlight.getRedYellowGreenState(light))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("rule", "demand", "greens"),
+    [
+        ("signal", "400x1000", (25, 25)),
+        ("signal_best", "400x1000", (25, 11)),
+        ("signal_best", "700x700", (25, 25)),
+    ],
+)
+def test_signals_have_fixed_greens(rule: str, demand: str, greens: tuple[int, int], junctions: Open) -> None:
+    vertical, horizontal = greens
+    cycle = ["GrGr"] * 2 * vertical + ["rGrG"] * 2 * horizontal
+    assert _states(junctions(demand=demand), rule, 200) == (cycle * 4)[:200]
+
+
+def test_lights_are_off_under_other_rules(junctions: Open) -> None:
+    assert set(_states(junctions(), "human", 50)) == {"OoOo"}
+
+
+def test_max_pressure_gives_green_to_the_fuller_road(junctions: Open) -> None:
+    env, sumo, chosen = junctions(demand="200x900"), libsumo(), [""]
+    controller, observed = ENTRY.rules["max_pressure"].make(env.prepared), env.reset(SEED)
+    for step in range(480):
+        count = sumo.lane.getLastStepVehicleNumber
+        sides = {
+            "GrGr": sum(count(f"{name}_in_0") - count(f"{name}_out_0") for name in ("north", "south")),
+            "rGrG": sum(count(f"{name}_in_0") - count(f"{name}_out_0") for name in ("east", "west")),
+        }
+        _, observed = env.step(controller.act(env, observed))
+        shown = sumo.trafficlight.getRedYellowGreenState("centre")
+        if step and step % 24 == 0:
+            assert sides[shown] == max(sides.values())
+        elif step:
+            assert shown == chosen[-1]
+        chosen.append(shown)
+    assert set(chosen[1:]) == {"GrGr", "rGrG"}
+
+
+def test_max_pressure_shows_yellow_where_the_program_does(junctions: Open, grid: tuple[Path, Path]) -> None:
+    env = junctions(network=str(grid[0]), demand=str(grid[1]))
+    states = _states(env, "max_pressure", 600, "A0")
+    yellow_s = min(length for length, state in env.prepared.network.signals["A0"].phases if "y" in state)
+    runs = "".join("y" if "y" in state else "-" for state in states).replace("-", " ").split()
+    assert len(runs) > 2
+    assert {len(run) for run in runs} == {round(yellow_s / 0.5)}
+
+
+@pytest.mark.parametrize("rule", ["signal", "max_pressure"])
+def test_a_network_without_lights_has_no_signal(rule: str, junctions: Open, merge: tuple[Path, Path]) -> None:
+    env = junctions(network=str(merge[0]), demand=str(merge[1]))
+    with pytest.raises(
+        HeadwayError, match=r"made\.net\.xml has no traffic lights: build one with netconvert"
+    ):
+        ENTRY.rules[rule].make(env.prepared)
+
+
+def test_best_greens_are_known_for_the_studys_demands(junctions: Open) -> None:
+    with pytest.raises(HeadwayError, match="is for network four_way with one of the demands 1000x400, "):
+        ENTRY.rules["signal_best"].make(junctions(demand="300x300").prepared)
+
+
+def test_human_drivers_yield_and_ignore_actions(junctions: Open) -> None:
+    def left(rule: str) -> float:
+        env = junctions(horizon=600, warm_up_s=0)
+        controller, observed = ENTRY.rules[rule].make(env.prepared), env.reset(SEED)
+        for _ in range(600):
+            outcome, observed = env.step(controller.act(env, observed))
+        env.close()
+        found = dict(zip(env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
+        assert found["collided_vehicles"] == 0
+        return found["outflow_vph"]
+
+    assert left("human") > left("human_mode1") + 50
