@@ -24,15 +24,15 @@ ENTRY = EnvEntry(
             partial(Lazy(f"{_RULES}:Humans"), right_of_way=False),
         ),
         "signal": RuleEntry(
-            "the network's traffic lights with their fixed times, for all vehicles",
+            "the network's traffic lights, with fixed times; right of way at junctions without one",
             Lazy(f"{_RULES}:FixedSignal"),
         ),
         "signal_best": RuleEntry(
-            "the signal with the greens that Yan and Wu (2021, arXiv:2111.04686) found best for the demand",
+            "signal, with the greens that Yan and Wu (2021, arXiv:2111.04686) found best for their demands",
             partial(Lazy(f"{_RULES}:FixedSignal"), best=True),
         ),
         "max_pressure": RuleEntry(
-            "the network's traffic lights by max pressure, every 12 s (Varaiya 2013)",
+            "signal, with green every 12 s for the phase of maximum pressure (Varaiya 2013)",
             Lazy(f"{_RULES}:MaxPressure"),
         ),
         "full_throttle": RuleEntry(

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import BatchedEnv, HeadwayError, Observations
+from headway.contracts import BatchedEnv, Observations
 from headway_envs.junctions.env import JunctionsBatchedEnv
-from headway_envs.junctions.network import Signal
 from headway_envs.junctions.prepared import Prepared
 
 ALL_CHECKS, SAFE_GAP_ONLY = 31, 1
@@ -50,31 +49,16 @@ class Humans:
         return _no_actions(observed)
 
 
-def _signals(prepared: Prepared) -> Mapping[str, Signal]:
-    """Return the network's traffic lights. Raises HeadwayError if it has none."""
-    if not prepared.network.signals:
-        raise HeadwayError(
-            f"network {prepared.config.network} has no traffic lights: build one with netconvert "
-            "--tls.guess or --tls.set, or leave out the rules signal and max_pressure; lights are off "
-            "except under these rules"
-        )
-    return prepared.network.signals
-
-
 class FixedSignal:
-    """Traffic lights with fixed times, which all vehicles obey as humans do."""
+    """Traffic lights with fixed times, which all vehicles obey as humans do. At junctions without a light
+    they obey the right of way."""
 
     def __init__(self, prepared: Prepared, best: bool = False) -> None:
-        """`best`: the greens that Yan and Wu found best for the demand, instead of those in the network's
-        file. Raises HeadwayError if they are not known, or for a network without traffic lights."""
-        self._signals = dict(_signals(prepared))
-        if best:
-            greens = BEST_GREENS_S.get(prepared.config.vph or (0, 0))
-            if greens is None:
-                raise HeadwayError(
-                    "signal_best is for network four_way with one of the demands "
-                    f"{', '.join(f'{h}x{v}' for h, v in BEST_GREENS_S)}; use signal"
-                )
+        """`best`: the greens that Yan and Wu found best for the demand, where they are known, instead of
+        those in the network's file."""
+        self._signals = dict(prepared.network.signals)
+        greens = BEST_GREENS_S.get(prepared.config.vph or (0, 0))
+        if best and greens is not None:
             horizontal, vertical = greens
             [(name, signal)] = self._signals.items()
             phases = tuple(zip((vertical, horizontal), (state for _, state in signal.phases), strict=True))
@@ -99,11 +83,11 @@ class MaxPressure:
     lanes before its links minus those on the lanes behind them (Varaiya 2013,
     doi:10.1016/j.trc.2013.08.014).
 
-    A link that loses its green is yellow for as long as in the network's program."""
+    A link that loses its green is yellow for as long as in the network's program. At junctions without a
+    light vehicles obey the right of way."""
 
     def __init__(self, prepared: Prepared) -> None:
-        """Raises HeadwayError for a network without traffic lights."""
-        self._signals = _signals(prepared)
+        self._signals = prepared.network.signals
         self._greens = {
             name: [state for _, state in signal.phases if "y" not in state.lower()]
             for name, signal in self._signals.items()
