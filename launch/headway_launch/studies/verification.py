@@ -118,7 +118,8 @@ class Verification:
         alone = resolve({**mapping, "seed": [seed]})
         [job] = new_jobs(alone, (seed,))
         stack = run.plan.stack
-        if len(stack) > 1 and (uses_gpu(job) or alone.algo.replay_bytes(alone.algo_config, job.spec, 1)):
+        replays = alone.algo.replay_bytes(alone.algo_config, job.training.spec, 1) > 0
+        if len(stack) > 1 and (uses_gpu(job) or replays):
             backend = {**mapping["backend"], "stack": len(stack)}
             together = resolve({**mapping, "seed": list(stack), "backend": backend})
             [job] = new_jobs(together, stack)
