@@ -104,13 +104,15 @@ class Verification:
         found = _compared(run.directory, again, planned.iterations)
         if found.first is None:
             return Verdict(run_id, steps, found.values, True, "equal bit for bit")
+        difference = f"differs {found.first}"
+        revisions = [tags.get("git.revision", "unknown")[:12] for tags in (run.record.tags, self._tags)]
+        if revisions[0] != revisions[1]:  # which says nothing of an installed package, so it is no reason
+            difference = f"{difference}; git.revision {revisions[0]} there, {revisions[1]} here"
         if not reasons:
-            revisions = [tags.get("git.revision", "unknown") for tags in (run.record.tags, self._tags)]
-            other = "; git.revision {} there, {} here".format(*revisions) if len(set(revisions)) > 1 else ""
-            return Verdict(run_id, steps, found.values, False, f"differs {found.first}{other}")
+            return Verdict(run_id, steps, found.values, False, difference)
         metric = f"evaluation_{job.config.evaluation.modes[0]}/return"
         equal, result = _within_spread(run.directory, again, planned.seeds, metric, steps)
-        return Verdict(run_id, steps, found.values, equal, f"{result}; differs {found.first}")
+        return Verdict(run_id, steps, found.values, equal, f"{result}; {difference}")
 
     def _job(self, run: StoredRun) -> PlannedJob:
         """Return the job that trains a run again, alone unless its results may depend on its stack."""

@@ -49,9 +49,9 @@ def with_gamma(name: str, content: bytes) -> bytes:
     return yaml.safe_dump(config).encode()
 
 
-def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Verify on another machine, as far as a command can tell."""
-    tags = {**provenance_module.provenance(), "hardware.cpu": "another"}
+def elsewhere(monkeypatch: pytest.MonkeyPatch, **changes: str) -> None:
+    """Verify with other tags, by default those of another machine."""
+    tags = {**provenance_module.provenance(), **(changes or {"hardware.cpu": "another"})}
     monkeypatch.setattr(provenance_module, "provenance", lambda: tags)
 
 
@@ -130,11 +130,13 @@ def test_a_whole_run_can_be_had_again(archive: Path, capsys: pytest.CaptureFixtu
 
 
 def test_another_discount_in_the_configuration_is_found_out(
-    archive: Path, capsys: pytest.CaptureFixture[str]
+    archive: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    elsewhere(monkeypatch, **{"git.revision": "another"})
     code, [result] = verified(capsys, changed(archive, with_gamma), *STEPS)
     assert code == 1
     assert result.startswith("differs from step ")
+    assert result.endswith(" there, another here")
 
 
 def test_elsewhere_a_run_may_be_one_of_its_cells_seeds(
