@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway.wording import counted
 
 if TYPE_CHECKING:
     from headway.store.query import RunSelection
@@ -78,15 +77,9 @@ def _session(config_dir: str | Path | None) -> Iterator[None]:
 
 
 def _selection(runner: "Runner", code: int) -> "RunSelection":
-    """Return the runs of a session.
-
-    Raises KeyboardInterrupt if it was stopped, and HeadwayError if a run could not be begun.
-    """
-    from headway.store.query import select
+    """Return the runs of a session. Raises KeyboardInterrupt if it was stopped."""
     from headway_launch.runner.runner import EXIT_STOPPED
 
     if code == EXIT_STOPPED:
         raise KeyboardInterrupt
-    if missing := runner.seeds_without_runs():
-        raise HeadwayError(f"{counted(missing, 'run')} could not be begun; the lines above say why")
-    return select(runner.store_root, run_id=runner.run_ids())
+    return runner.selection()

@@ -5,8 +5,6 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import yaml
-
 from headway.config.experiment import RolloutConfig
 from headway.config.schema import FieldDescription, describe, nearest, suggestion
 from headway.contracts import RANDOM, RuleEntry
@@ -27,6 +25,7 @@ from headway_launch.console.output import print_line
 from headway_launch.console.tables import print_table
 from headway_launch.experiments.options import config_file, options, summary_of
 from headway_launch.experiments.override_words import require_each_key_once
+from headway_launch.experiments.yaml_file import read_mapping
 
 EXAMPLES = """\
 examples:
@@ -166,8 +165,7 @@ def _registered_id(name: str) -> str | None:
     """
     if name not in _file_only_envs():
         return _require_env(name)
-    configured = yaml.safe_load(config_file("env", name).read_text(encoding="utf-8"))
-    own = configured.get("id")
+    own = read_mapping(config_file("env", name)).get("id")
     return own if own in env_entries() else None
 
 

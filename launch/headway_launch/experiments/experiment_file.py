@@ -23,16 +23,15 @@ def split_experiment_file(overrides: Sequence[str]) -> tuple[Path | None, list[s
 
     Raises HeadwayError for a second experiment.
     """
-    files = [word for word in overrides if _is_file(word)]
+    endings = (".yaml", ".yml")
+    files = [
+        word for word in overrides if word.endswith(endings) and ("=" not in word or Path(word).is_file())
+    ]
     others = [word for word in overrides if word not in files]
     second = [word for word in others if word.startswith(f"{_GROUP}=")]
     if len(named := dict.fromkeys([*files, *second])) > 1:
         raise HeadwayError(f"{' and '.join(named)} are several experiments; give one")
     return (Path(files[0]) if files else None), others
-
-
-def _is_file(word: str) -> bool:
-    return word.endswith((".yaml", ".yml")) and ("=" not in word or Path(word).is_file())
 
 
 def choice_of_file(path: Path) -> str:

@@ -2,16 +2,14 @@
 
 from collections.abc import Callable, Mapping
 
-import yaml
-
 from headway.config.experiment import EnvConfig, ExperimentConfig
 from headway.config.json_schema import Schema, record_schema
 from headway.config.schema import literal_choices
-from headway.contracts.errors import HeadwayError
 from headway.registry import algo_entries, algo_entry, env_entries
 from headway_launch.experiments.options import config_file, options
 from headway_launch.experiments.search import Search
 from headway_launch.experiments.search_space import Piece
+from headway_launch.experiments.yaml_file import read_mapping
 
 _SEEDS = {"type": ["integer", "string", "array"]}
 _EXTERNAL = {"type": "string", "pattern": "[.:]"}
@@ -125,16 +123,12 @@ def _env_options() -> dict[str, str]:
 
     Raises HeadwayError for a file that is not valid YAML.
     """
-    found = {name: name for name in env_entries()}
-    for option in set(options()["env"]) - set(found):
-        path = config_file("env", option)
-        try:
-            content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (yaml.YAMLError, ValueError) as error:
-            raise HeadwayError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
-        if isinstance(content, dict) and content.get("id") in env_entries():
-            found[option] = content["id"]
-    return dict(sorted(found.items()))
+    known = env_entries()
+    ids = {
+        option: option if option in known else read_mapping(config_file("env", option)).get("id")
+        for option in options()["env"]
+    }
+    return {option: str(name) for option, name in ids.items() if name in known}
 
 
 def _ref(group: str, name: str) -> Schema:

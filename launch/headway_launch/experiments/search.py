@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from headway.config.experiment import ExperimentConfig
 from headway.config.schema import build, plain, suggestion
-from headway.contracts.checks import require_key, require_value
+from headway.contracts.checks import require_at_least, require_key, require_value
 from headway.contracts.errors import HeadwayError
 from headway.registry import algo_entries
 from headway_launch.experiments.compose import Experiment, PreparedEnv, compose, composer
@@ -84,8 +84,7 @@ class Search:
     def __post_init__(self) -> None:
         forms = "must name at least one algorithm, such as {ippo: [], mappo: []}"
         require_key(bool(self.algorithms), "algorithms", forms)
-        require_value(self, "candidates", self.candidates >= 1, "must be at least 1")
-        require_value(self, "env_steps", self.env_steps >= 1, "must be at least 1")
+        require_at_least(1, candidates=self.candidates, env_steps=self.env_steps)
         require_value(self, "sampler_seed", 0 <= self.sampler_seed < 2**32, "must lie in [0, 2^32)")
         require_value(self, "seeds", 1 <= self.seeds <= 100, "must lie in [1, 100]")
         require_value(self, "keep", 0 < self.keep < 1, "must lie between 0 and 1")
@@ -212,7 +211,8 @@ def read_search(name: str, overrides: Sequence[str] = ()) -> list[AlgorithmSearc
     parts = [_of_algorithm(name, search, label, others) for label in search.algorithms]
     require_one_session([part.first for part in parts])
     _require_column(parts)
-    if useless := [piece for piece in search.pieces if not any(_has(part, piece) for part in parts)]:
+    algorithms = {_algorithm(part.search, part.label) for part in parts}
+    if useless := [piece for piece in search.pieces if algorithms.isdisjoint(read_piece(piece).algorithms)]:
         raise HeadwayError(
             f"search/{name}: no algorithm of this search has the piece {useless[0]}; leave it out"
         )
@@ -241,10 +241,6 @@ def _algorithm(search: Search, label: str) -> str:
     if name not in algo_entries():
         raise HeadwayError(f"algorithms: no algorithm {name!r}; {suggestion(name, algo_entries())}")
     return name
-
-
-def _has(part: AlgorithmSearch, piece: str) -> bool:
-    return _algorithm(part.search, part.label) in read_piece(piece).algorithms
 
 
 def _of_algorithm(name: str, search: Search, label: str, given: Sequence[str]) -> AlgorithmSearch:

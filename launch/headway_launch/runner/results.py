@@ -285,11 +285,7 @@ def _final_episodes(mode: str, results: Sequence[SeedResult]) -> list[list[Row]]
 
 def _summary_rows(rows: Sequence[tuple[Value, ...]]) -> list[tuple[Value, ...]]:
     """Return the row of means and the row of standard deviations."""
-    statistics = [
-        _mean_std([float(cell) for row in rows if isinstance(cell := row[column], int | float)])
-        for column in range(2, len(_COLUMNS))
-    ]
-    return [
-        ("mean", None, *(mean for mean, _ in statistics)),
-        ("std", None, *(deviation for _, deviation in statistics)),
-    ]
+    _, _, *columns = zip(*rows, strict=True)
+    numbers = ([float(cell) for cell in cells if isinstance(cell, int | float)] for cells in columns)
+    means, deviations = zip(*map(_mean_std, numbers), strict=True)
+    return [("mean", None, *means), ("std", None, *deviations)]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from headway.config.experiment import ExperimentConfig
 from headway.contracts.errors import HeadwayError
@@ -24,6 +25,9 @@ from headway_launch.runner.session_energy import SessionEnergy
 from headway_launch.runner.session_job import SessionJob
 from headway_launch.runner.training_process import Training
 from headway_launch.runner.warm_up import compile_kernels_of
+
+if TYPE_CHECKING:
+    from headway.store.query import RunSelection
 
 EXIT_DONE, EXIT_FAILED, EXIT_STOPPED = 0, 2, 130
 _MAX_LISTED_RUNS = 3
@@ -86,22 +90,17 @@ class Runner:
             self._print_summary(time.monotonic() - began)
         return self._exit_code(stopped)
 
-    @property
-    def store_root(self) -> Path:
-        """The store's folder."""
-        return Path(self._config.store.root)
+    def selection(self) -> "RunSelection":
+        """Return the runs that have ended, in this session or before it.
 
-    def run_ids(self) -> list[str]:
-        """Return the identities of the runs that have ended, in this session or before it."""
-        return [run_id for cell in self._cells for run_id in cell.results]
+        Raises HeadwayError if a job failed before it created its runs.
+        """
+        from headway.store.query import select
 
-    def seeds_without_runs(self) -> int:
-        """Return the number of seeds whose job failed before it created their runs."""
-        return sum(
-            len(job.planned.seeds)
-            for job in self._jobs
-            if job.recorder is None and not job.elsewhere and not job.planned.resumed
-        )
+        if missing := sum(len(job.planned.seeds) for job in self._jobs if job.has_no_runs):
+            raise HeadwayError(f"{counted(missing, 'run')} could not be begun; the lines above say why")
+        ended = [run_id for cell in self._cells for run_id in cell.results]
+        return select(self._config.store.root, run_id=ended)
 
     def left_to_others(self) -> list[Path]:
         """Return the folders of runs that other sessions train, or trained without finishing them."""
@@ -147,8 +146,7 @@ class Runner:
     def _store_unstarted(self, stopped: bool) -> None:
         """Store the runs that never started as killed, so that `headway resume` finds them."""
         for job in self._jobs:
-            never_begun = job.recorder is None and not job.planned.resumed and not job.elsewhere
-            if stopped and never_begun and not self._plan_kept:
+            if stopped and job.has_no_runs and not self._plan_kept:
                 job.create_runs(self._shares)
                 self._store_end(job)
 
@@ -169,11 +167,9 @@ class Runner:
         if stopped:
             return EXIT_STOPPED
         failed = any(job.stored_status == "FAILED" for job in self._jobs)
-        return EXIT_FAILED if failed or self._untrained() else EXIT_DONE
-
-    def _untrained(self) -> int:
-        """Return the number of seeds that have no run, because another session has part of their stack."""
-        return sum(len(job.planned.seeds) - len(job.elsewhere) for job in self._jobs if job.elsewhere)
+        # Another session has part of a stack, so that the other seeds have no run.
+        untrained = any(job.elsewhere and len(job.elsewhere) < len(job.planned.seeds) for job in self._jobs)
+        return EXIT_FAILED if failed or untrained else EXIT_DONE
 
     def _print(self) -> None:
         if len(self._cells) == 1:

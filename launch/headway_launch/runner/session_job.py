@@ -7,7 +7,7 @@ from headway.events import Event
 from headway.store.run_folder import Status
 from headway.training.loop import TrainingJob
 from headway_launch.console.output import relative
-from headway_launch.console.progress import JobProgress
+from headway_launch.console.progress import ACTIVE, JobProgress
 from headway_launch.runner.cell import SessionCell
 from headway_launch.runner.cores import CoreShares, uses_gpu, workers_of
 from headway_launch.runner.jobs import PlannedJob
@@ -53,15 +53,13 @@ class SessionJob:
     @property
     def stored_status(self) -> Status:
         """Status of its runs in the store; a job that was stopped or never started was killed."""
-        match self.progress.status:
-            case "starting" | "training":
-                return "RUNNING"
-            case "finished":
-                return "FINISHED"
-            case "failed":
-                return "FAILED"
-            case "waiting" | "stopped" | "elsewhere":
-                return "KILLED"
+        ended: dict[str, Status] = {"finished": "FINISHED", "failed": "FAILED"}
+        return "RUNNING" if self.progress.status in ACTIVE else ended.get(self.progress.status, "KILLED")
+
+    @property
+    def has_no_runs(self) -> bool:
+        """Whether no session has created runs of its seeds."""
+        return self.recorder is None and not self.planned.resumed and not self.elsewhere
 
     def create_runs(self, shares: CoreShares) -> JobRecorder:
         """Create or reopen the stored runs. Raises HeadwayError as `SessionCell.runs` does."""

@@ -8,16 +8,13 @@ from numpy.typing import NDArray
 
 from headway.contracts import (
     BatchedEnv,
-    Box,
-    Discrete,
     EnvSpec,
-    MultiDiscrete,
     Observations,
     Trajectory,
     TrajectoryLayout,
     generator,
 )
-from headway.contracts.random_rule import random_allowed
+from headway.contracts.random_rule import random_actions
 from headway.rollout.nan_check import check_finite
 
 _OBSERVED = ("observations", "states", "alive", "action_masks")
@@ -68,14 +65,11 @@ class RandomPlay:
         self._generators = [generator(int(seed), "random play") for seed in seeds]
 
     def act(self, spec: EnvSpec, observed: Observations) -> NDArray[Any]:
-        """Return actions as `BatchedEnv.step` takes them; Box bounds are clipped to [-10, 10]."""
-        masks = observed.action_masks
-        return np.stack(
-            [
-                _draw(draw, spec, None if masks is None else masks[copy])
-                for copy, draw in enumerate(self._generators)
-            ]
-        )
+        """Return actions as `BatchedEnv.step` takes them."""
+        space, agents, masks = spec.action_space, (spec.num_agents,), observed.action_masks
+        of_copies = [None] * len(self._generators) if masks is None else masks
+        drawn = zip(self._generators, of_copies, strict=True)
+        return np.stack([random_actions(space, draw, agents, mask) for draw, mask in drawn])
 
 
 def record(
@@ -134,16 +128,6 @@ def _between(trajectory: Trajectory, spec: EnvSpec, first: int, last: int) -> Tr
     return Trajectory(
         **{name: getattr(trajectory, name)[first : last + 1 if name in _OBSERVED else last] for name in names}
     )
-
-
-def _draw(draw: np.random.Generator, spec: EnvSpec, mask: NDArray[np.bool_] | None) -> NDArray[Any]:
-    n = spec.num_agents
-    match spec.action_space:
-        case Discrete() | MultiDiscrete() as space:
-            return random_allowed(space, draw, (n,), mask)
-        case Box(low=low, high=high):
-            bounds = np.clip(low, -10, 10), np.clip(high, -10, 10)
-            return draw.uniform(*bounds, (n, len(low))).astype(np.float32)
 
 
 def _store_observed(track: Trajectory, step: int, observed: Observations) -> None:

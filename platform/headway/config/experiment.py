@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import accumulate, pairwise
 from typing import Any, Literal
 
-from headway.contracts.checks import require_key, require_value
+from headway.contracts.checks import require_at_least, require_key, require_value
 from headway.contracts.errors import InvalidValueError
 
 NO_PRESET = "none"
@@ -94,9 +94,7 @@ class RolloutConfig:
     used."""
 
     def __post_init__(self) -> None:
-        require_value(self, "copies", self.copies >= 1, "must be at least 1")
-        require_value(self, "steps", self.steps >= 1, "must be at least 1")
-        require_value(self, "block", self.block >= 1, "must be at least 1")
+        require_at_least(1, copies=self.copies, steps=self.steps, block=self.block)
         require_value(self, "block", self.copies % self.block == 0, f"must divide copies ({self.copies})")
 
 
@@ -196,8 +194,8 @@ class StartConfig:
             "env_steps",
             "applies to a rule: set start.rule too, or leave this out",
         )
+        require_at_least(0, kl_coeff=self.kl_coeff, critic_iterations=self.critic_iterations)
         for key in ("kl_coeff", "critic_iterations"):
-            require_value(self, key, getattr(self, key) >= 0, "must be at least 0")
             require_key(
                 self.rule is not None or self.run is not None or getattr(self, key) == 0,
                 key,
@@ -245,10 +243,8 @@ class EvaluationConfig:
     []: none."""
 
     def __post_init__(self) -> None:
-        require_value(self, "episodes", self.episodes >= 1, "must be at least 1")
-        require_value(self, "every", self.every >= 1, "must be at least 1")
-        require_value(self, "final_episodes", self.final_episodes >= 1, "must be at least 1")
-        require_value(self, "seed", self.seed >= 0, "must be at least 0")
+        require_at_least(1, episodes=self.episodes, every=self.every, final_episodes=self.final_episodes)
+        require_at_least(0, seed=self.seed)
         require_key(len(self.modes) >= 1, "modes", "must name at least one of greedy, sampled")
 
     @property

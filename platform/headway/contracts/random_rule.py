@@ -8,22 +8,24 @@ from numpy.typing import NDArray
 from headway.contracts.entries import RuleEntry
 from headway.contracts.environment import BatchedEnv, Observations
 from headway.contracts.random_streams import generator
-from headway.contracts.spaces import Box, Discrete, MultiDiscrete
+from headway.contracts.spaces import ActionSpace, Box, Discrete
 
 _UNBOUNDED_WIDTH = 10.0
 """Maximum distance of a draw from the only finite bound of a Box component, or from 0 if it has none."""
 
 
-def random_allowed(
-    space: Discrete | MultiDiscrete,
-    draw: np.random.Generator,
-    shape: tuple[int, ...],
-    masks: NDArray[np.bool_] | None,
+def random_actions(
+    space: ActionSpace, draw: np.random.Generator, shape: tuple[int, ...], masks: NDArray[np.bool_] | None
 ) -> NDArray[Any]:
     """Return uniformly random actions for agents of any `shape`, allowed by `masks` (*shape, A).
 
     Agents without an allowed action get action 0.
     """
+    if isinstance(space, Box):
+        low, high = np.array(space.low), np.array(space.high)
+        floor = np.where(np.isinf(low), np.where(np.isinf(high), 0.0, high) - _UNBOUNDED_WIDTH, low)
+        ceiling = np.where(np.isinf(high), np.where(np.isinf(low), 0.0, low) + _UNBOUNDED_WIDTH, high)
+        return draw.uniform(floor, ceiling, (*shape, len(low))).astype(np.float32)
     options = space.n if isinstance(space, Discrete) else sum(space.nvec)
     score = draw.random((*shape, options))
     if masks is not None:
@@ -46,14 +48,8 @@ class RandomRule:
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[Any]:
         """Return actions as `BatchedEnv.step` takes them. Agents without an allowed action get action 0."""
-        shape, draw = observed.alive.shape, self._generator
-        match env.spec.action_space:
-            case Discrete() | MultiDiscrete() as space:
-                return random_allowed(space, draw, shape, observed.action_masks)
-            case Box(low=low, high=high):
-                floor = np.where(np.isinf(low), np.where(np.isinf(high), 0.0, high) - _UNBOUNDED_WIDTH, low)
-                ceiling = np.where(np.isinf(high), np.where(np.isinf(low), 0.0, low) + _UNBOUNDED_WIDTH, high)
-                return draw.uniform(floor, ceiling, (*shape, len(low))).astype(np.float32)
+        shape, masks = observed.alive.shape, observed.action_masks
+        return random_actions(env.spec.action_space, self._generator, shape, masks)
 
 
 RANDOM = RuleEntry(

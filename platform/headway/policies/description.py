@@ -75,20 +75,9 @@ class PolicyDescription:
 
     def to_json(self) -> str:
         """Return the description as JSON text."""
-        content = {
-            "headway_policy": _FORMAT,
-            "agents": self.agents,
-            "observation_size": self.observation_size,
-            "action_space": space_json(self.action_space),
-            "policy_space": space_json(self.policy_space),
-            "has_action_mask": self.has_action_mask,
-            "network": asdict(self.network),
-            "precision": self.precision,
-            "origin": self.origin,
-            "observation_features": [asdict(feature) for feature in self.observation_features],
-            "normalisation": self.normalisation,
-        }
-        return json.dumps(content, default=str)
+        spaces = {"action_space": self.action_space, "policy_space": self.policy_space}
+        written = {name: space_json(space) for name, space in spaces.items()}
+        return json.dumps({"headway_policy": _FORMAT, **asdict(self), **written}, default=str)
 
     @classmethod
     def from_json(cls, text: str) -> Self:

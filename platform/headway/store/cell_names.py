@@ -208,11 +208,11 @@ def _first_few(settings: Sequence[str]) -> Sequence[str]:
 
 def _settings_of(parameters: Mapping[str, str], of_task: bool) -> dict[str, str]:
     """Return the parameters that define the cell's task, or those that define its controller."""
-
-    def defines_task(name: str) -> bool:
-        return name.startswith(_TASK_PREFIX) and not name.startswith(_TRAINING_ARGS)
-
-    settings = {name: value for name, value in parameters.items() if defines_task(name) is of_task}
+    settings = {
+        name: value
+        for name, value in parameters.items()
+        if (name.startswith(_TASK_PREFIX) and not name.startswith(_TRAINING_ARGS)) is of_task
+    }
     settings.pop(_WRAPPERS, None)
     if wrappers := _wrappers(parameters.get(_WRAPPERS, "[]"), of_task):
         settings[_WRAPPERS] = wrappers

@@ -48,30 +48,15 @@ def checkpoint_bytes(state: Mapping[str, Any]) -> bytes:
     return b"".join((_MAGIC, hashlib.sha256(content).digest(), content))
 
 
-def write_checkpoint(directory: Path, iteration: int, content: bytes, gate: Path | None = None) -> Path:
+def write_checkpoint(
+    directory: Path, iteration: int, content: bytes, gate: Path | None = None, kind: str = "checkpoint"
+) -> Path:
     """Write the checkpoint of `iteration` durably and keep the last two.
 
-    `gate`: see `headway.store.fencing`; None: write without one. Raises HeadwayError if the file cannot be
-    written; earlier checkpoints are then unchanged.
+    `gate`: see `headway.store.fencing`; None: write without one. `kind`: `experience` for replay data, which
+    are written before the checkpoint that they belong to. Raises HeadwayError if the file cannot be written;
+    earlier files are then unchanged.
     """
-    return _write(directory, "checkpoint", iteration, content, gate)
-
-
-def write_replay(directory: Path, iteration: int, content: bytes, gate: Path | None = None) -> Path:
-    """Write the replay data of `iteration`, before the checkpoint that they belong to.
-
-    Arguments and errors are those of `write_checkpoint`.
-    """
-    return _write(directory, "experience", iteration, content, gate)
-
-
-def remove_replay(directory: Path, gate: Path | None = None) -> None:
-    """Delete all stored replay data of a finished run. Raises HeadwayError if the gate has been closed."""
-    for _, path in _files(directory, "experience"):
-        discard(path, gate)
-
-
-def _write(directory: Path, kind: str, iteration: int, content: bytes, gate: Path | None) -> Path:
     path = directory / f"{kind}-{iteration:06d}.pt"
     make_folder(directory)
     remove_partial(directory, f"{kind}-")
@@ -80,6 +65,12 @@ def _write(directory: Path, kind: str, iteration: int, content: bytes, gate: Pat
         discard(older, gate)
     sync_folder(directory)
     return path
+
+
+def remove_replay(directory: Path, gate: Path | None = None) -> None:
+    """Delete all stored replay data of a finished run. Raises HeadwayError if the gate has been closed."""
+    for _, path in _files(directory, "experience"):
+        discard(path, gate)
 
 
 def load_for_resume(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
@@ -295,12 +286,12 @@ def _array(value: dict[str, Any]) -> "np.ndarray[Any, Any]":
     return np.frombuffer(bytearray(_bytes(value)), np.dtype(value["dtype"])).reshape(value["shape"])
 
 
-def _scalar(value: dict[str, Any]) -> Any:  # noqa: ANN401
-    return _array(value)[()]
-
-
 def _bytes(value: dict[str, Any]) -> bytes:
     return bytes(value["data"].numpy().tobytes())
 
 
-_DECODERS: dict[str, Callable[[dict[str, Any]], Any]] = {"bytes": _bytes, "array": _array, "scalar": _scalar}
+_DECODERS: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "bytes": _bytes,
+    "array": _array,
+    "scalar": lambda value: _array(value)[()],
+}

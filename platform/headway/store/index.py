@@ -90,7 +90,9 @@ class RunIndex:
             for suffix in ("", "-journal"):
                 (self.root / f"{_NAME}{suffix}").unlink(missing_ok=True)
             rows = self._query(self.root / _NAME)
-        current = (_settled(row) for row in rows)
+        current = (
+            replace(row, status=settled(row.status, Process(row.host, row.pid, row.created))) for row in rows
+        )
         return [row for row in current if study is None or row.study == study]
 
     def _query(self, path: Path) -> list[RunRow]:
@@ -156,7 +158,3 @@ def _row(folder: Path) -> RunRow:
         "directory": str(folder),
     }
     return RunRow(**{name: values[name] for name in _COLUMNS})
-
-
-def _settled(row: RunRow) -> RunRow:
-    return replace(row, status=settled(row.status, Process(row.host, row.pid, row.created)))

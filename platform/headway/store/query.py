@@ -9,7 +9,7 @@ columns of `LABELS`, which identify the run of a row.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -80,16 +80,15 @@ def select(
         "preset": preset,
         "cell": cell,
         "run_id": run_id,
+        "status": status,
     }
     for name, value in wanted.items():
         if value is not None:
-            allowed = _several(value)
-            _require_known(name, allowed, [getattr(row, name) for row in all_rows], folder)
+            allowed = (value,) if isinstance(value, str) else tuple(value)
+            known = set(STATUSES if name == "status" else (getattr(row, name) for row in all_rows))
+            for unknown in (each for each in allowed if each not in known):
+                raise HeadwayError(f"no run in {folder} has {name} {unknown!r}; {suggestion(unknown, known)}")
             rows = [row for row in rows if getattr(row, name) in allowed]
-    if status is not None:
-        statuses = _several(status)
-        _require_known("status", statuses, STATUSES, folder)
-        rows = [row for row in rows if row.status in statuses]
     if seed is not None:
         seeds = (seed,) if isinstance(seed, int) else tuple(seed)
         rows = [row for row in rows if row.seed in seeds]
@@ -228,30 +227,11 @@ class RunSelection:
         return pd.concat(labelled, ignore_index=True) if labelled else pd.DataFrame(columns=list(LABELS))
 
     def _label(self, row: RunRow) -> dict[str, str | int]:
-        name = self.names[row.cell]
-        return {
-            "run_id": row.run_id,
-            "study": row.study,
-            "cell": row.cell,
-            "label": name.label,
-            "task": name.task,
-            "controller": name.controller,
-            "seed": row.seed,
-        }
+        name = asdict(self.names[row.cell])
+        return {"run_id": row.run_id, "study": row.study, "cell": row.cell, **name, "seed": row.seed}
 
     def _frame(self, columns: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
         import pandas as pd
 
         rows = [{**self._label(run), **own} for run, own in zip(self.rows, columns, strict=True)]
         return pd.DataFrame(rows) if rows else pd.DataFrame(columns=list(LABELS))
-
-
-def _several(value: str | Sequence[str]) -> tuple[str, ...]:
-    return (value,) if isinstance(value, str) else tuple(value)
-
-
-def _require_known(name: str, wanted: Sequence[str], known: Iterable[str], root: Path) -> None:
-    values = set(known)
-    for value in wanted:
-        if value not in values:
-            raise HeadwayError(f"no run in {root} has {name} {value!r}; {suggestion(value, values)}")

@@ -45,7 +45,6 @@ from headway.store.checkpoint import (
     remove_replay,
     require_same_shapes,
     write_checkpoint,
-    write_replay,
 )
 from headway.store.parquet_log import RunLog
 from headway.store.run_folder import CHECKPOINTS
@@ -315,7 +314,8 @@ class _Training:
         content = checkpoint_bytes(state)
         if replay is not None:
             kept = checkpoint_bytes(replay)
-            write_replay(self.job.checkpoints[0], self.iteration, kept, self.job.gate_paths[0])
+            gate = self.job.gate_paths[0]
+            write_checkpoint(self.job.checkpoints[0], self.iteration, kept, gate, "experience")
         for directory, gate in zip(self.job.checkpoints, self.job.gate_paths, strict=True):
             write_checkpoint(directory, self.iteration, content, gate)
         self.saved_iteration = self.iteration

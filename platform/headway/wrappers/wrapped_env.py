@@ -8,7 +8,7 @@ batches. If all have a batched form, a native environment stays native.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeGuard, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,7 +125,9 @@ def behind_wrappers(env: BatchedEnv) -> BatchedEnv:
     If this is made of ParallelEnvs on top of native batches of one copy, return the first copy's batch.
     """
     inner, _ = _innermost(env, None)
-    return _natives(inner)[0][0] if _shows_native(inner) else inner
+    if isinstance(inner, ParallelEnvBatch) and _has_native(inner.parallel_envs[0]):
+        return _natives(inner)[0][0]
+    return inner
 
 
 def _innermost(env: BatchedEnv, observed: Observations | None) -> tuple[BatchedEnv, Observations | None]:
@@ -137,11 +139,6 @@ def _innermost(env: BatchedEnv, observed: Observations | None) -> tuple[BatchedE
     while hasattr(inner, "inner"):
         observed, inner = inner.inner_observed, inner.inner
     return cast(BatchedEnv, inner), observed
-
-
-def _shows_native(env: BatchedEnv) -> TypeGuard[ParallelEnvBatch]:
-    """Return whether rules can inspect a native batch behind the ParallelEnv."""
-    return isinstance(env, ParallelEnvBatch) and _has_native(env.parallel_envs[0])
 
 
 def _has_native(parallel_env: Any) -> bool:  # noqa: ANN401 - PettingZoo comes without types
