@@ -201,6 +201,63 @@ class UpkeepConfig:
 
 
 @dataclass(frozen=True)
+class DisruptionConfig:
+    """Disruptions of every day; none by default.
+
+    The timetable, the target headways, and the demand and running times that observations and rewards expect
+    remain those of an ordinary day. A stop is named by its number in the scenario's table stops, a bus by its
+    place among the agents, from 0.
+    """
+
+    surge: float = 1.0
+    """Factor on the passenger arrivals at `surge_stops` during one hour."""
+    surge_hour: int = 8
+    """Hour of the surge."""
+    surge_stops: tuple[int, ...] = ()
+    """Stops of the surge; empty: all."""
+    slow: float = 1.0
+    """Factor on the travel times of the links that leave `slow_stops`, for departures during one hour."""
+    slow_hour: int = 8
+    """Hour of the slow links."""
+    slow_stops: tuple[int, ...] = ()
+    """Stops whose links onward are slow; empty: the middle one of each pattern."""
+    breakdown_hour: int | None = None
+    """Hour from whose beginning on `breakdown_bus` breaks down at its next stop between terminals; null:
+    never."""
+    breakdown_bus: int = 0
+    """Bus that breaks down."""
+    late_s: float = 0.0
+    """Time after its first scheduled departure at which `late_bus` comes out of the depot, s."""
+    late_bus: int = 0
+    """Bus that starts late."""
+
+    def __post_init__(self) -> None:
+        _require_above(0, surge=self.surge, slow=self.slow)
+        require_at_least(0, late_s=self.late_s, breakdown_bus=self.breakdown_bus, late_bus=self.late_bus)
+        for key, without, on in (
+            ("surge_stops", "surge=1", self.surge != 1.0 or not self.surge_stops),
+            ("slow_stops", "slow=1", self.slow != 1.0 or not self.slow_stops),
+            (
+                "breakdown_bus",
+                "breakdown_hour=null",
+                self.breakdown_hour is not None or not self.breakdown_bus,
+            ),
+            ("late_bus", "late_s=0", self.late_s > 0.0 or not self.late_bus),
+        ):
+            require_key(on, key, f"means nothing with {without}; leave it out or set the other key")
+
+    @property
+    def hours(self) -> dict[str, int]:
+        """Hours of the disruptions that are on, by key."""
+        hours = {"surge_hour": self.surge_hour} if self.surge != 1.0 else {}
+        if self.slow != 1.0:
+            hours["slow_hour"] = self.slow_hour
+        if self.breakdown_hour is not None:
+            hours["breakdown_hour"] = self.breakdown_hour
+        return hours
+
+
+@dataclass(frozen=True)
 class BusConfig:
     """Bus network, passengers, rewards and observations."""
 
@@ -250,6 +307,7 @@ class BusConfig:
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     upkeep: UpkeepConfig = field(default_factory=UpkeepConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
+    disruptions: DisruptionConfig = field(default_factory=DisruptionConfig)
 
     @property
     def arrivals_per_boarding(self) -> float:
@@ -291,6 +349,12 @@ class BusConfig:
             minimum_layover_s=self.minimum_layover_s,
             recovery_share=self.recovery_share,
         )
+        for name, hour in self.disruptions.hours.items():
+            require_key(
+                self.start_hour <= hour < self.end_hour,
+                f"disruptions.{name}",
+                f"must lie within the service day, {self.start_hour} to {self.end_hour - 1}, not {hour}",
+            )
         _require_share(captive_share=self.captive_share)
         _require_above(0, competing_headway_share=self.competing_headway_share)
 

@@ -3,6 +3,7 @@
 Imports only numpy and the kernel's records, because every worker unpickles it; `prepare` makes it.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,7 +73,8 @@ def _settings(prepared: Prepared) -> dict[str, float]:
     A value of the configuration that has the name of a field is passed on unchanged.
     """
     config = prepared.config
-    noise, upkeep, reward = config.noise, config.upkeep, config.reward
+    noise, upkeep, reward, disruptions = config.noise, config.upkeep, config.reward, config.disruptions
+    breakdown = disruptions.breakdown_hour
     others = (1.0 - config.captive_share) * config.arrivals_per_boarding
     given = {**vars(config), **vars(noise), **vars(upkeep)}
     return {
@@ -97,6 +99,11 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "weekday": float(config.day_type == "weekday"),
         "observation": float(OBSERVATIONS.index(config.observation)),
         "full_state": float(prepared.full_state),
+        "slow_s": disruptions.slow_hour * 3600.0 if disruptions.slow != 1.0 else math.inf,
+        "breakdown_s": 3600.0 * (breakdown or 0),
+        "breakdown_bus": -1 if breakdown is None else disruptions.breakdown_bus,
+        "late_s": disruptions.late_s,
+        "late_bus": disruptions.late_bus if disruptions.late_s > 0.0 else -1,
     }
 
 

@@ -37,6 +37,7 @@ def tiny_network() -> Network:
         boarding_rate=np.array([[0.005] * 4, [0.0] * 4]),
         regular_waiting=np.ones((1, 4)),
         target=np.full((1, KNOTS), 600.0),
+        slowness=np.ones(2),
         detour=np.zeros(2),
         line_trip=np.array([100.0]),
         line_detour=np.zeros(1),

@@ -51,6 +51,7 @@ def begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, ep
     day.episode = episode
     day.key = episode_key(seed, episode)
     day.now = k.start_s
+    day.breakdown_bus = k.breakdown_bus
     day.demand_factor = max(1.0 + k.demand_day_sd * normal(day.key, DEMAND_DAY, 0, 0), 0.0)
     world.departed[c] = False
     world.trip_time[c] = np.nan

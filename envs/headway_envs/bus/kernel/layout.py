@@ -79,6 +79,8 @@ class Network(NamedTuple):
     """(L, B) mean number of waiting passengers under a regular service"""
     target: NDArray[np.float64]
     """(P, K) target headway, s"""
+    slowness: NDArray[np.float64]
+    """(Q,) factor on the travel time to the next call during the hour of the setting `slow_s`"""
     detour: NDArray[np.float64]
     """(Q,) driving time to the nearest service centre, one way, s"""
     line_trip: NDArray[np.float64]
@@ -131,6 +133,9 @@ SETTINGS = np.dtype(
             "follower_share",
             "breakdown_cost",
             "low_occupancy",
+            "slow_s",
+            "breakdown_s",
+            "late_s",
         ]
     ]
     + [
@@ -143,6 +148,8 @@ SETTINGS = np.dtype(
             "weekday",
             "observation",
             "full_state",
+            "breakdown_bus",
+            "late_bus",
         ]
     ],
     align=True,
@@ -150,7 +157,8 @@ SETTINGS = np.dtype(
 """Numbers of the configuration that the kernel reads. `captive_arrivals`: share of captive passengers among
 arrivals; `breakdown_cost`: reward that a bus loses by running out of fuel; `low_occupancy`: occupancy below
 which e is penalised, 0 if it is not; `observation`: 0 paper, 1 published, 2 control; `scope`: SCOPE_TEAM,
-SCOPE_LINE or SCOPE_OWN."""
+SCOPE_LINE or SCOPE_OWN; `slow_s`: start of the hour of slow links, infinite without; `breakdown_bus`,
+`late_bus`: slots, -1 without."""
 
 SLOT = np.dtype(
     [
@@ -275,6 +283,7 @@ SUMS = [
 DAY = np.dtype(
     [("seed", np.uint64), ("key", np.uint64), ("episode", np.int64), ("tick", np.int64)]
     + [("now", np.float64), ("demand_factor", np.float64)]
+    + [("breakdown_bus", np.int64)]  # slot of the planned breakdown, -1 once it has happened
     + [(name, np.int64) for name in COUNTS]
     + [(name, np.float64) for name in SUMS],
     align=True,

@@ -60,6 +60,8 @@ def link_time(net: Network, k: Record, world: World, c: int, n: int, time: float
     if uniform(day.key, INCIDENT, slot.trip, slot.call) < k.incident_probability:
         spread = 2.0 * (k.incident_factor - 2.0)
         factor *= 2.0 + spread * uniform(day.key, INCIDENT_SIZE, slot.trip, slot.call)
+    if k.slow_s <= time < k.slow_s + 3600.0:
+        factor *= net.slowness[slot.call]
     # Incidents must not change the mean, which is that of the table.
     factor /= 1.0 + k.incident_probability * (k.incident_factor - 1.0)
     return float(interpolate(net.running, slot.call, time) * factor)
@@ -110,6 +112,8 @@ def schedule_next_trip(
     ready = net.trip_departure[slot.trip] - k.dispatch_window_s
     if arrived:
         ready = max(ready, time + k.minimum_layover_s + net.trip_deadhead[slot.trip])
+    elif n == k.late_bus:
+        ready = net.trip_departure[slot.trip] + k.late_s
     ready = max(ready, k.start_s)
     slot.phase = DEPOT if not arrived or ready - time > k.depot_gap_s else TERMINAL
     if slot.phase == DEPOT and arrived:
@@ -168,6 +172,7 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
     """Arrive at the next call: alight, then finish the trip, break down, or board."""
     slot, day = world.slots[c, n], world.days[c]
     charge_upkeep(k, world, c, n, time, 1.0)
+    planned = n == day.breakdown_bus and time >= k.breakdown_s
     slot.call += 1
     call = world.calls[c, slot.call]
     call.arrivals += 1
@@ -184,8 +189,10 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         world.patterns[c, slot.pattern].last_finish = time
         slot.block += 1
         schedule_next_trip(net, k, world, c, n, time, True)
-    elif slot.fuel <= 0.0 or slot.hazard >= slot.hazard_limit:
+    elif planned or slot.fuel <= 0.0 or slot.hazard >= slot.hazard_limit:
         # On arrival only, because a bus has no events between calls.
+        if planned:
+            day.breakdown_bus = -1
         day.breakdowns += 1
         slot.breakdowns += 1
         unload_passengers(net, k, world, c, n, time)

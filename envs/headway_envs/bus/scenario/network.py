@@ -66,7 +66,8 @@ def build_from_arrays(
     timetable = _timetable(departures, nominal, pattern_calls, line_patterns, deadhead, config)
     rates, regular = _rates(boarding, departures, nominal, pattern_calls, line_patterns, config)
     others = (1 - config.captive_share) * config.arrivals_per_boarding
-    arrival_rate = rates * (config.captive_share + others)
+    surge = _surge(calls, rates.shape[1], config)
+    arrival_rate = rates * (config.captive_share + others) * surge
     detour = _detours(meta, calls, config)
     network = Network(
         line_slots=timetable["line_slots"].astype(np.int64),
@@ -88,11 +89,13 @@ def build_from_arrays(
         boarding_rate=rates,
         regular_waiting=regular,
         target=np.array([d.headway for d in departures]),
+        slowness=_slowness(calls, pattern_calls, config),
         detour=detour,
         line_trip=np.maximum.reduceat(nominal.max(axis=1), pattern_calls[line_patterns[:-1]]),
         line_detour=np.minimum.reduceat(detour[pattern_calls[:-1]], line_patterns[:-1]),
-        queue_first=_queue_offsets(rates, per_call, config),
+        queue_first=_queue_offsets(rates * surge, per_call, config),
     )
+    _check_buses(len(network.slot_line), config)
     # Always the same memory layout: for another one, numba would compile the kernel again.
     arrays: list[Any] = [np.ascontiguousarray(array) for array in network]
     return Network(*arrays), tuple(lines)
@@ -410,6 +413,50 @@ def _detours(meta: Mapping[str, Any], calls: Columns, config: BusConfig) -> Floa
     metres = distance_m(lat[:, None], lon[:, None], places[None, :, 0], places[None, :, 1]).min(axis=1)
     seconds = config.upkeep.detour_fixed_s + 1.3 * metres / (config.upkeep.detour_kmh / 3.6)
     return np.asarray(seconds, dtype=np.float64)
+
+
+def _at_stops(calls: Columns, stops: tuple[int, ...], key: str) -> NDArray[np.bool_]:
+    """Return whether each call (Q,) is at one of the stops; all calls without stops.
+
+    Raises HeadwayError for a stop without calls.
+    """
+    for stop in stops:
+        if stop not in calls["stop"]:
+            raise HeadwayError(
+                f"env.args.disruptions.{key}: no trip calls at stop {stop}; choose numbers of the stops "
+                f"table, such as {calls['stop'][0]}"
+            )
+    return np.isin(calls["stop"], stops) if stops else np.ones(len(calls["stop"]), np.bool_)
+
+
+def _surge(calls: Columns, bins: int, config: BusConfig) -> Floats:
+    """Return the factor of the configured surge on passenger arrivals (Q, B)."""
+    disruptions = config.disruptions
+    begins = config.start_hour + np.arange(bins) * BIN_S / 3600.0
+    during = (begins >= disruptions.surge_hour) & (begins < disruptions.surge_hour + 1)
+    there = _at_stops(calls, disruptions.surge_stops, "surge_stops")
+    return np.where(there[:, None] & during, disruptions.surge, 1.0)
+
+
+def _slowness(calls: Columns, pattern_calls: Integers, config: BusConfig) -> Floats:
+    """Return the factor on the travel time to the next call (Q,) during the hour of slow links."""
+    disruptions = config.disruptions
+    there = _at_stops(calls, disruptions.slow_stops, "slow_stops")
+    if not disruptions.slow_stops:
+        there[:] = False
+        # The link in the middle of each pattern, of its calls - 1 links.
+        there[(pattern_calls[:-1] + pattern_calls[1:] - 1) // 2] = True
+    return np.where(there, disruptions.slow, 1.0)
+
+
+def _check_buses(slots: int, config: BusConfig) -> None:
+    """Raise HeadwayError if a disruption names a bus that the scenario does not have."""
+    for key in ("breakdown_bus", "late_bus"):
+        bus = getattr(config.disruptions, key)
+        if bus >= slots:
+            raise HeadwayError(
+                f"env.args.disruptions.{key}: there is no bus {bus}; the scenario has {slots}, from 0"
+            )
 
 
 def _queue_offsets(rates: Floats, per_call: Floats, config: BusConfig) -> Integers:
