@@ -73,7 +73,9 @@ class Simulation:
                     self.sumo.start(["sumo", *options])
             except self.sumo.TraCIException as error:
                 self.close()
-                raise HeadwayError(f"SUMO cannot load the network or the demand: {error}") from error
+                raise HeadwayError(
+                    f"SUMO cannot load the network or the demand: {_one_line(error)}"
+                ) from error
 
     def step(self) -> None:
         """Advance by one step.
@@ -84,7 +86,7 @@ class Simulation:
             self.sumo.simulation.step()
         except (self.sumo.TraCIException, self.sumo.FatalTraCIError) as error:
             self.close()
-            raise HeadwayError(f"SUMO stopped the episode: {error}") from error
+            raise HeadwayError(f"SUMO stopped the episode: {_one_line(error)}") from error
 
     def close(self) -> None:
         """Release the simulation for other environments of this process."""
@@ -92,3 +94,7 @@ class Simulation:
         if _owner is not None and _owner() is self:
             _owner = None
             self.sumo.close()
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()).rstrip(".")

@@ -109,6 +109,7 @@ class Network:
         root = read_xml(path, "network", ("net",))
         lanes = {lane.attrib["id"]: lane.attrib for edge in root.iter("edge") for lane in edge.iter("lane")}
         ways = [_Way(way.attrib) for way in root.iter("connection")]
+        ways = [way for way in ways if lanes[way.before].get("allow") != "pedestrian"]
         after: dict[str, set[str]] = defaultdict(set)
         for way in ways:
             after[way.before].add(way.inside or way.behind)

@@ -15,6 +15,7 @@ from headway_envs.junctions.network import NO_LINE, Network, build
 from headway_envs.sumo_simulation import libsumo
 
 Open = Callable[..., Any]
+Convert = Callable[..., Path]
 SEED = np.array([3], np.uint64)
 
 
@@ -89,6 +90,13 @@ def test_distances_equal_sumos_in_a_grid(junctions: Open, grid: tuple[Path, Path
             else:
                 assert vehicle.distance < 0
     assert compared > 2000
+
+
+def test_lanes_of_pedestrians_are_no_approaches(tool: Convert) -> None:
+    walks = ("--sidewalks.guess", "true", "--crossings.guess", "true")
+    network = Network.read(str(tool("netgenerate", "--grid", "--grid.number", "3", *walks)))
+    assert not any(lane.endswith("_0") for lane in network.approaches)  # lane 0 is the sidewalk
+    assert len(network.approaches) == 24  # of edges between the nine nodes
 
 
 def test_a_road_is_followed_through_a_bend(merge: tuple[Path, Path]) -> None:
