@@ -1,0 +1,33 @@
+"""A policy trained at one SUMO network plays on another, as docs/howto/sumo_network.md has it."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from kept_policies import keep_run_on
+
+from headway_envs.junctions.config import FOUR_WAY, JunctionsConfig
+from headway_envs.junctions.demand import routes_xml
+from headway_envs.junctions.network import Network
+from headway_launch.commands.main import run
+
+pytestmark = pytest.mark.skipif(find_spec("libsumo") is None, reason="SUMO (headway[sumo]) is not installed")
+
+
+def test_a_policy_plays_on_another_network(empty_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    network = Network.read(FOUR_WAY)
+    text = Path(network.path).read_text(encoding="utf-8")
+    Path("my.net.xml").write_text(text.replace('speed="13.00"', 'speed="20.00"'), encoding="utf-8")
+    Path("my.rou.xml").write_text(routes_xml(JunctionsConfig(demand="300x300"), network), encoding="utf-8")
+    words = ["env=junctions", "env.args.approaches=6", "env.args.horizon=200", "env.args.warm_up_s=0"]
+    name = keep_run_on(empty_folder / "runs", [*words, "algo=ippo", "algo.policies=shared"]).name
+    other = ("env.args.network=my.net.xml", "env.args.demand=my.rou.xml")
+    capsys.readouterr()
+    assert run(["evaluate", name, "--episodes=1", "--rules=human,signal", *other]) == 0
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    outflow = next(row[1:] for row in rows if row[0] == "outflow_vph")
+    assert float(outflow[1]) > 800
+    assert run(["render", name, "--output", "picture.png"]) == 0
+    assert Path("picture.png").stat().st_size > 1000
+    assert run(["evaluate", name, *other, "env.args.approaches=3"]) == 2
+    assert "approaches must be at least 4 for network my.net.xml" in capsys.readouterr().err
