@@ -12,7 +12,7 @@ from headway.events import Row
 from headway.store.checkpoint import latest_iteration
 from headway.store.index import RunRow
 from headway.store.parquet_log import TABLES, read_curve, read_rows
-from headway.store.run_folder import CHECKPOINTS, RunRecord, find_run, read_summary
+from headway.store.run_folder import CHECKPOINTS, find_run, read_summary
 from headway.store.session import EPISODES_RESTARTED
 from headway.wording import counted
 from headway_launch.console.output import print_line
@@ -99,8 +99,8 @@ class Verification:
             return None
         if code != EXIT_DONE:
             raise HeadwayError(f"{run_id} could not be trained again; the lines above say why")
-        folders = [find_run(self.root, name) for name in runner.run_ids()]
-        [again] = [folder for folder in folders if RunRecord.read(folder).seed == run.record.seed]
+        rows = runner.selection().rows
+        [again] = [Path(row.directory) for row in rows if row.seed == run.record.seed]
         found = _compared(run.directory, again, planned.iterations)
         if found.first is None:
             return Verdict(run_id, steps, found.values, True, "equal bit for bit")
