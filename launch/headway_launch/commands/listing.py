@@ -3,7 +3,7 @@
 import argparse
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from headway.config.experiment import RolloutConfig
 from headway.config.schema import FieldDescription, describe, nearest, suggestion
@@ -51,15 +51,6 @@ examples:
 """
 
 
-@dataclass(frozen=True)
-class Kind:
-    """A kind of things that can be listed."""
-
-    description: str
-    show: Callable[..., None]
-    """Prints the list, or the item with the given name."""
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add KIND and NAME."""
     parser.add_argument("kind", metavar="KIND", nargs="?", help=f"{', '.join(KINDS)}; omit to explain them")
@@ -73,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Print the list, one item in full or, without a kind, the kinds."""
     if arguments.kind is None:
-        print_table(("kind", "what is listed"), [(name, kind.description) for name, kind in KINDS.items()])
+        print_table(("kind", "what is listed"), [(name, said) for name, (said, _) in KINDS.items()])
         print_line("`headway list KIND` lists them; `headway list KIND NAME` shows one in full")
         return 0
     if arguments.kind not in KINDS:
@@ -84,7 +75,8 @@ def execute(arguments: argparse.Namespace) -> int:
         raise HeadwayError(
             f"headway list {arguments.kind} takes one name: leave out {' '.join(arguments.overrides)}"
         )
-    KINDS[arguments.kind].show(arguments.name, *arguments.overrides)
+    _, show = KINDS[arguments.kind]
+    show(arguments.name, *arguments.overrides)
     return 0
 
 
@@ -300,20 +292,21 @@ COMMON_METRICS = {
     "return": "sum of rewards over the episode, mean over agents",
 }
 """Metrics of every environment."""
-KINDS: Mapping[str, Kind] = {
-    "envs": Kind("environments: their rules, or the arguments of one (env.args.KEY=VALUE)", _list_envs),
-    "algos": Kind("algorithms, or the hyper-parameters of one (algo.KEY=VALUE)", _list_algos),
-    "wrappers": Kind("wrappers for env.wrappers, or the arguments of one", _list_wrappers),
-    "rules": Kind("classical rules of all environments, or of one", _list_rules),
-    "metrics": Kind("episode metrics of all environments, or of one, with units", _list_metrics),
-    "observations": Kind(
-        "numbers of an environment's observation, with units and scales; needs a NAME", _list_observations
+KINDS: Mapping[str, tuple[str, Callable[..., None]]] = {
+    "envs": ("environments: their rules, or the arguments of one (env.args.KEY=VALUE)", _list_envs),
+    "algos": ("algorithms, or the hyper-parameters of one (algo.KEY=VALUE)", _list_algos),
+    "wrappers": ("wrappers for env.wrappers, or the arguments of one", _list_wrappers),
+    "rules": ("classical rules of all environments, or of one", _list_rules),
+    "metrics": ("episode metrics of all environments, or of one, with units", _list_metrics),
+    "observations": (
+        "numbers of an environment's observation, with units and scales; needs a NAME",
+        _list_observations,
     ),
-    "experiments": Kind("experiments for `headway run experiment=NAME`", _list_group("experiment")),
-    "presets": Kind("hyper-parameter presets for preset=NAME", _list_group("preset")),
-    "searches": Kind("hyper-parameter searches for `headway search NAME`", _list_group("search")),
-    "spaces": Kind("pieces of search spaces, for files in configs/search", _list_group("space")),
-    "keys": Kind("keys of an experiment, or those with a word in their names", _list_keys),
-    "schema": Kind("JSON Schema of experiments' or other files, for editors", _list_schema),
+    "experiments": ("experiments for `headway run experiment=NAME`", _list_group("experiment")),
+    "presets": ("hyper-parameter presets for preset=NAME", _list_group("preset")),
+    "searches": ("hyper-parameter searches for `headway search NAME`", _list_group("search")),
+    "spaces": ("pieces of search spaces, for files in configs/search", _list_group("space")),
+    "keys": ("keys of an experiment, or those with a word in their names", _list_keys),
+    "schema": ("JSON Schema of experiments' or other files, for editors", _list_schema),
 }
-"""What can be listed."""
+"""What can be listed: its description, and a function that prints the list or the item with a given name."""

@@ -99,11 +99,6 @@ class Experiment:
     algo_config: Any
 
     @property
-    def training_env_config(self) -> Any:  # noqa: ANN401 - any record
-        """Config of the training environment, in the first stage."""
-        return self.training_env_configs[0]
-
-    @property
     def algo_name(self) -> str:
         """The algorithm's name in the registry."""
         return str(self.config.algo["name"])

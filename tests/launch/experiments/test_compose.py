@@ -97,7 +97,7 @@ def test_the_bus_environment_has_a_default_preset() -> None:
     default, tuned = compose(["env=bus"]), compose(["env=bus", "preset=bus_tuned"])
     assert default.config.preset == "default_bus"
     assert default.algo_config == tuned.algo_config
-    assert default.training_env_config == tuned.training_env_config
+    assert default.training_env_configs[0] == tuned.training_env_configs[0]
     assert default.config.rollout == tuned.config.rollout
     assert compose(["env=bus", "algo.clip=0.07"]).algo_config.clip == 0.07
     untuned = compose(["env=bus", "algo=madqn"])
@@ -265,7 +265,7 @@ def test_null_removes_the_training_arguments_of_a_preset() -> None:
     words = ("env=bus", "algo=ippo", "preset=bus_tuned")
     assert compose([*words, "env.training_args={}"]).config.env.training_args
     cleared = compose([*words, "env.training_args=null"])
-    assert cleared.training_env_config == cleared.env_config
+    assert cleared.training_env_configs[0] == cleared.env_config
     stored = full_mapping(cleared, [0])
     assert stored["env"]["training_args"] == {}
     assert cell_parameters(resolve(stored)) == cell_parameters(cleared)
@@ -318,7 +318,7 @@ def test_a_stored_configuration_gives_the_same_experiment() -> None:
     assert again.config.rollout == experiment.config.rollout == RolloutConfig(10, 512, 5)
     assert again.algo_config == experiment.algo_config
     assert again.env_config == experiment.env_config
-    assert again.training_env_config == experiment.training_env_config != experiment.env_config
+    assert again.training_env_configs[0] == experiment.training_env_configs[0] != experiment.env_config
     assert again.config.seed == (2,)
     assert cell_parameters(again) == cell_parameters(experiment)
 
@@ -364,7 +364,7 @@ def test_the_merging_study_has_values_for_its_algorithms(algorithm: str, preset:
         assert (algo.gamma, algo.model.hidden, algo.model.activation) == (0.99, (128, 128), "relu")
         assert config.rollout.copies * config.rollout.steps == 100
         assert not algo.normalise_observations
-        assert experiment.training_env_config.reward.scope == {"mappo": "global", "ippo": "global"}.get(
+        assert experiment.training_env_configs[0].reward.scope == {"mappo": "global", "ippo": "global"}.get(
             algorithm, "regional"
         )
 

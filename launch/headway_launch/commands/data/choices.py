@@ -1,7 +1,8 @@
-"""Values of options that several data commands share: seeds, day types, dates and lists of names."""
+"""Options that several data commands share: scenarios, seeds, day types, dates and lists of names."""
 
+import argparse
 import datetime as dt
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from headway.contracts.errors import HeadwayError
 
@@ -23,8 +24,30 @@ def day_type_of(
     return wanted or ("weekday" if "weekday" in there else "sunday")
 
 
-def date_of(day: str, text: str | None) -> dt.date | None:
-    """Return the date given by `--DAY`, or None. Raises HeadwayError if it is not a date."""
+def add_scenario_arguments(parser: argparse.ArgumentParser, day_type: str) -> None:
+    """Add SCENARIO, --seed and --day-type, whose help is `day_type`."""
+    parser.add_argument("scenario", metavar="SCENARIO", help="folder, or line, corridor, district or city")
+    parser.add_argument("--day-type", choices=("weekday", "sunday"), help=day_type)
+    parser.add_argument("--seed", type=int, default=0, help="seed of a built-in scenario (default: 0)")
+
+
+def add_selection_arguments(parser: argparse.ArgumentParser, drawn: str) -> None:
+    """Add the days and lines to import, and --seed, by which `drawn` is drawn."""
+    for option, day in (("--weekday", "weekday"), ("--sunday", "Sunday")):
+        said = f"YYYY-MM-DD, of the timetable (default: the {day} with the most trips)"
+        parser.add_argument(option, metavar="DATE", help=said)
+    parser.add_argument("--lines", help="names of lines, comma-separated (default: all)")
+    parser.add_argument("--seed", type=int, default=0, help=f"seed of {drawn} (default: 0)")
+
+
+def selection_of(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return `weekday`, `sunday`, `lines` and `seed` of an import. Raises HeadwayError if one is wrong."""
+    require_seed(arguments.seed)
+    days = {day: _date_of(day, getattr(arguments, day)) for day in ("weekday", "sunday")}
+    return {**days, "lines": names_of(arguments.lines), "seed": arguments.seed}
+
+
+def _date_of(day: str, text: str | None) -> dt.date | None:
     if text is None:
         return None
     try:

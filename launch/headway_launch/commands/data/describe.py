@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.data.choices import require_seed
+from headway_launch.commands.data.choices import add_scenario_arguments, require_seed
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
@@ -27,16 +27,10 @@ with at least two. Times are of the service day: 25:30 is half past one at night
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the scenario and the number of lines to list."""
-    parser.add_argument("scenario", metavar="SCENARIO", help="folder, or line, corridor, district or city")
+    add_scenario_arguments(parser, "day type of the listed lines (default: the first of the scenario)")
     parser.add_argument(
         "--lines", type=int, default=10, help="lines to list, by number of trips (default: 10; 0: none)"
     )
-    parser.add_argument(
-        "--day-type",
-        choices=("weekday", "sunday"),
-        help="day type of the listed lines (default: the first of the scenario)",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of a built-in scenario (default: 0)")
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.data.choices import date_of, names_of, require_seed
+from headway_launch.commands.data.choices import add_selection_arguments, names_of, selection_of
 from headway_launch.commands.data.writing import add_output_arguments, check_output, write_scenario
 
 EXAMPLES = """\
@@ -25,13 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the feed, the folder and the selection."""
     parser.add_argument("feed", metavar="FEED", help="GTFS feed: a zip file, or a folder of .txt files")
     add_output_arguments(parser)
-    parser.add_argument(
-        "--weekday", metavar="DATE", help="YYYY-MM-DD (default: the weekday with the most trips)"
-    )
-    parser.add_argument(
-        "--sunday", metavar="DATE", help="YYYY-MM-DD (default: the Sunday with the most trips)"
-    )
-    parser.add_argument("--lines", help="names of lines, comma-separated (default: all)")
+    add_selection_arguments(parser, "the generated demand")
     parser.add_argument("--types", help="route types, comma-separated (default: buses)")
     parser.add_argument(
         "--boardings-per-trip",
@@ -39,28 +33,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=47.0,
         help="mean on a weekday, which scales the generated demand (default: 47, as in Salvador)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the generated demand (default: 0)")
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Import the feed, write the scenario and print a summary."""
-    require_seed(arguments.seed)
+    selection = selection_of(arguments)
     if not 0.0 < arguments.boardings_per_trip <= 1000.0:
         raise HeadwayError(
             f"--boardings-per-trip must be above 0 and at most 1000, not {arguments.boardings_per_trip:g}"
         )
-    weekday, sunday = date_of("weekday", arguments.weekday), date_of("sunday", arguments.sunday)
     out = check_output(arguments)
     from headway_envs.bus.scenario.gtfs.importer import BUS_TYPES, GtfsOptions, import_gtfs
 
-    options = GtfsOptions(
-        weekday=weekday,
-        sunday=sunday,
-        lines=names_of(arguments.lines),
-        route_types=names_of(arguments.types) or BUS_TYPES,
-        boardings_per_trip=arguments.boardings_per_trip,
-        seed=arguments.seed,
-    )
-    tables = import_gtfs(Path(arguments.feed), options)
-    write_scenario(tables, out)
+    types = names_of(arguments.types) or BUS_TYPES
+    options = GtfsOptions(**selection, route_types=types, boardings_per_trip=arguments.boardings_per_trip)
+    write_scenario(import_gtfs(Path(arguments.feed), options), out)
     return 0

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway.wording import counted
-from headway_launch.commands.data.choices import day_type_of, require_seed
+from headway_launch.commands.data.choices import add_scenario_arguments, day_type_of, require_seed
 from headway_launch.console.output_files import write_figure
 
 EXAMPLES = """\
@@ -21,12 +21,8 @@ hour: buses in service, boardings and headways.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the scenario and the file."""
-    parser.add_argument("scenario", metavar="SCENARIO", help="folder, or line, corridor, district or city")
+    add_scenario_arguments(parser, "day type (default: weekday, if it has trips)")
     parser.add_argument("--output", metavar="PNG", help="picture to write (default: NAME.png)")
-    parser.add_argument(
-        "--day-type", choices=("weekday", "sunday"), help="day type (default: weekday, if it has trips)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of a built-in scenario (default: 0)")
 
 
 def execute(arguments: argparse.Namespace) -> int:

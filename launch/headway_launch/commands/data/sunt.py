@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from headway_launch.commands.data.choices import date_of, names_of, require_seed
+from headway_launch.commands.data.choices import add_selection_arguments, selection_of
 from headway_launch.commands.data.writing import add_output_arguments, check_output, write_scenario
 
 EXAMPLES = """\
@@ -26,24 +26,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the files, the folder and the selection."""
     parser.add_argument("raw", metavar="RAW", help="folder with SUNT's files")
     add_output_arguments(parser)
-    parser.add_argument(
-        "--weekday", metavar="DATE", help="date of the timetable (default: the one with the most trips)"
-    )
-    parser.add_argument(
-        "--sunday", metavar="DATE", help="date of the timetable (default: the one with the most trips)"
-    )
-    parser.add_argument("--lines", help="names of lines, comma-separated (default: all)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of demand without counts (default: 0)")
+    add_selection_arguments(parser, "demand without counts")
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Import the files, write the scenario and print a summary."""
-    require_seed(arguments.seed)
-    weekday, sunday = date_of("weekday", arguments.weekday), date_of("sunday", arguments.sunday)
+    selection = selection_of(arguments)
     out = check_output(arguments)
     from headway_envs.bus.scenario.sunt.importer import SuntOptions, import_sunt
 
-    options = SuntOptions(weekday, sunday, names_of(arguments.lines), arguments.seed)
-    tables = import_sunt(Path(arguments.raw), options)
-    write_scenario(tables, out)
+    write_scenario(import_sunt(Path(arguments.raw), SuntOptions(**selection)), out)
     return 0

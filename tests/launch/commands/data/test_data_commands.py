@@ -205,7 +205,7 @@ def test_the_recommended_command_has_the_settings_of_the_study_of_such_networks(
     study = compose(like)
     assert (experiment.algo_name, experiment.algo_config) == (study.algo_name, study.algo_config)
     assert experiment.config.rollout == study.config.rollout
-    assert experiment.training_env_config.reward == study.training_env_config.reward
+    assert experiment.training_env_configs[0].reward == study.training_env_configs[0].reward
 
 
 def test_the_guide_continues_with_the_commands_that_are_printed(
