@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import (
     BatchedEnv,
+    Box,
     EnvSpec,
     Observations,
     Trajectory,
@@ -65,8 +66,11 @@ class RandomPlay:
         self._generators = [generator(int(seed), "random play") for seed in seeds]
 
     def act(self, spec: EnvSpec, observed: Observations) -> NDArray[Any]:
-        """Return actions as `BatchedEnv.step` takes them."""
+        """Return actions as `BatchedEnv.step` takes them; Box bounds are clipped to [-10, 10]."""
         space, agents, masks = spec.action_space, (spec.num_agents,), observed.action_masks
+        if isinstance(space, Box):
+            low, high = np.clip((space.low, space.high), -10, 10).tolist()
+            space = Box(tuple(low), tuple(high))
         of_copies = [None] * len(self._generators) if masks is None else masks
         drawn = zip(self._generators, of_copies, strict=True)
         return np.stack([random_actions(space, draw, agents, mask) for draw, mask in drawn])
