@@ -50,17 +50,9 @@ class Energy:
 
     def per_seed(self, seeds: int) -> "Energy":
         """Return the share of one of `seeds` seeds: an equal part of everything."""
-
-        def share(part: float | None) -> float | None:
-            return None if part is None else part / seeds
-
-        return Energy(
-            share(self.cpu_kwh),
-            share(self.gpu_kwh),
-            share(self.ram_kwh),
-            share(self.kg_co2),
-            cpu_seconds=self.cpu_seconds / seeds,
-        )
+        parts: dict[str, float | None] = {name: getattr(self, name) for name in _PARTS}
+        shares = {name: None if part is None else part / seeds for name, part in parts.items()}
+        return Energy(**shares, cpu_seconds=self.cpu_seconds / seeds)
 
     def as_row(self) -> dict[str, float]:
         """Return the known values by name, `kwh` included, for logs and summaries."""

@@ -112,10 +112,7 @@ class EnergyMeter:
 
     def notices(self) -> tuple[str, ...]:
         """Return the lines for the user since the last call."""
-        lines = []
-        while not self._notices.empty():
-            lines.append(self._notices.get())
-        return tuple(lines)
+        return tuple(self._notices.get() for _ in range(self._notices.qsize()))
 
     def _start(self) -> None:
         try:
