@@ -1,4 +1,4 @@
-"""Speed of the whole city's environment, and CPU time and memory of training on it."""
+"""Speed of the whole city's environment, and memory of training on it."""
 
 import subprocess
 import sys
@@ -9,7 +9,6 @@ from pathlib import Path
 import psutil
 
 from benchmarks import kernel
-from benchmarks.measurement import Task, measure
 from headway_launch.experiments.compose import compose
 
 EXPERIMENT = "bus_city"
@@ -18,19 +17,14 @@ _EVERY_S = 0.25
 
 
 def report() -> None:
-    """Print the three tables."""
+    """Print the two tables."""
     print("\n## The city: agent-ticks per second on one core\n")
     kernel.report_rates({"city": 2})
-    experiment = compose([f"experiment={EXPERIMENT}"])
-    env_steps = ITERATIONS * experiment.config.rollout.copies * experiment.config.rollout.steps
-    trained = measure([Task((f"experiment={EXPERIMENT}", "seed=0"), env_steps)])[0]
-    minutes = experiment.config.env_steps / trained.per_cpu_second / 60.0
-    print(f"\n## Training the city: one seed of {EXPERIMENT}\n")
-    print("| steps/CPU s | budget, steps | CPU minutes, without evaluations |")
-    print("|---:|---:|---:|")
-    print(f"| {trained.per_cpu_second:.0f} | {experiment.config.env_steps:,} | {minutes:.1f} |")
+    rollout = compose([f"experiment={EXPERIMENT}"]).config.rollout
+    env_steps = ITERATIONS * rollout.copies * rollout.steps
     memory_mb = _session_mb(env_steps)
-    print(f"\n| memory, MB: {' | '.join(memory_mb)} | total |")
+    print(f"\n## Training the city: one seed of {EXPERIMENT}\n")
+    print(f"| memory, MB: {' | '.join(memory_mb)} | total |")
     print(f"|{'---:|' * (len(memory_mb) + 1)}")
     print(f"| {' | '.join(f'{mb:.0f}' for mb in memory_mb.values())} | {sum(memory_mb.values()):.0f} |")
     print("\nMemory: peak of `headway run`, pages shared between processes counted once.")

@@ -15,10 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measurement import Task, measure
 from headway.contracts import BatchedEnv, Observations, child_seeds
 from headway.registry import env_entry
-from headway_launch.experiments.compose import compose
 
 PAPER: Mapping[str, Any] = {
     "observation": "paper",
@@ -42,16 +40,6 @@ BANDS: Mapping[str, tuple[float, float]] = {
 }
 """(relative, absolute) parts of the tolerance, which add up. Episodes that end at the first collision vary
 most: the standard error of their length is about the length over the root of ten seeds."""
-TRAININGS = (
-    ("intersection_paper_ippo", "ippo"),
-    ("intersection_paper_a3c", "a3c"),
-    ("intersection_paper_ddpg", "ddpg"),
-    ("intersection_study", "ippo"),
-    ("intersection_study", "a3c"),
-    ("intersection_study", "ddpg"),
-)
-TRAINED_STEPS = 20_000
-"""Number of environment steps per measured training."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +155,6 @@ def report() -> None:
     print("\nIn brackets: reconstruction. The first rows end at the first collision and have noisy humans.")
     _report_speed()
     _report_memory()
-    _report_training()
 
 
 def _report_speed() -> None:
@@ -253,33 +240,4 @@ def _report_memory(resets: int = 1000) -> None:
     print(
         f"\nMemory of a process with the intersection: {marks[1]:.0f} MB at most, "
         f"{marks[1] - marks[0]:.1f} MB of it since reset {resets // 10} of {resets:,}."
-    )
-
-
-def _report_training() -> None:
-    """Print the CPU time of the experiments' budgets for one seed, without evaluations: trained alone and, if
-    the experiment stacks its seeds, as part of a stack."""
-    print("\n## The crossing: training one seed, without evaluations\n")
-    print(
-        "| experiment | algorithm | steps/CPU s | budget, steps | CPU minutes | in a stack "
-        "| largest worker, MB |"
-    )
-    print("|---|---|---:|---:|---:|---:|---:|")
-    for experiment, algo in TRAININGS:
-        words = (f"experiment={experiment}", f"algo={algo}")
-        config = compose(words).config
-        budget, seeds = config.env_steps, config.seed[: config.backend.stack]
-        alone = measure([Task((*words, "seed=0", "backend.stack=1"), TRAINED_STEPS)])[0]
-        stacked = ""
-        if len(seeds) > 1:
-            together = measure([Task((*words, f"seed={','.join(map(str, seeds))}"), TRAINED_STEPS)])[0]
-            stacked = f"{budget / together.per_cpu_second / 60.0:.1f} (of {len(seeds)})"
-        print(
-            f"| {experiment} | {algo} | {alone.per_cpu_second:,.0f} | {budget:,} "
-            f"| {budget / alone.per_cpu_second / 60.0:.1f} | {stacked} | {alone.worker_mb:.0f} |",
-            flush=True,
-        )
-    print(
-        f"\nMeasured over {TRAINED_STEPS:,} environment steps (in intersection_study: actions of ten SUMO "
-        "steps each); policies learned later may change the amount of traffic."
     )

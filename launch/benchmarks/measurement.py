@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from headway.adapters.pettingzoo import AdapterOptions, ParallelEnvBatch
-from headway.events import Event, IterationFinished, Started
+from headway.events import Event, IterationFinished
 from headway.registry import env_entry
 
 if TYPE_CHECKING:
@@ -63,8 +63,6 @@ class Measurement:
     cpu_s: float
     collect_s: float
     learn_s: float
-    worker_mb: float = 0.0
-    """Peak resident memory of a worker or a separate evaluation process, MB; 0 if there is neither."""
 
     @property
     def per_second(self) -> float:
@@ -125,15 +123,9 @@ def measure_here(task: Task) -> Measurement:
         spec = make(job.plan.prepared, 1).spec.for_policies
         job = replace(job, plan=replace(job.plan, make_env=make, spec=spec))
     records: list[tuple[float, float, float, float]] = []
-    worker_ids: list[int] = []
-    peak_mb = 0.0
 
     def record(event: Event) -> None:
-        nonlocal worker_ids, peak_mb
-        if isinstance(event, Started):
-            _, *worker_ids = event.process_ids
         if isinstance(event, IterationFinished):
-            peak_mb = max([peak_mb, *map(_peak_mb, worker_ids)])
             records.append((time.monotonic(), event.usage.cpu_seconds, event.collect_s, event.learn_s))
 
     with tempfile.TemporaryDirectory() as folder:
@@ -147,18 +139,7 @@ def measure_here(task: Task) -> Measurement:
         cpu_s=counted[-1][1] - records[WARM_UP - 1][1],
         collect_s=sum(mark[2] for mark in counted),
         learn_s=sum(mark[3] for mark in counted),
-        worker_mb=peak_mb,
     )
-
-
-def _peak_mb(process_id: int) -> float:
-    """Return the peak resident memory of a Linux process, MB; 0 if it has ended."""
-    try:
-        status = Path(f"/proc/{process_id}/status").read_text(encoding="utf-8")
-    except OSError:
-        return 0.0
-    peaks = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:")]
-    return int(peaks[0]) / 1024 if peaks else 0.0
 
 
 if __name__ == "__main__":

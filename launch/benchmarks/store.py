@@ -1,4 +1,4 @@
-"""Query times of a large store, and the cost of tracking during training."""
+"""Query times of a large store."""
 
 import json
 import subprocess
@@ -12,22 +12,14 @@ from statistics import median
 from headway.store.parquet_log import RunLog
 from headway.store.query import select
 from headway.store.run_folder import Process, RunRecord, cell_name, create_run_folder, now
-from headway_launch.runner.runner import STORE_SHARE
 
 RUNS, POINTS = 450, 400
 """Number of runs, as of nine algorithms with fifty seeds each, and number of points per curve."""
 ROUNDS = 5
-TRAINING = (
-    "experiment=bus_mappo",
-    "seed=0,1",
-    "env_steps=400_000",
-    "evaluation.rules=[]",
-    "store.checkpoint_every=20",
-)
 
 
 def report() -> None:
-    """Print the query times and the cost of tracking."""
+    """Print the query times."""
     print(f"\n## Store: {RUNS} runs of {POINTS} points\n")
     with tempfile.TemporaryDirectory() as folder:
         make_store(Path(folder))
@@ -44,10 +36,6 @@ def report() -> None:
         (Path(folder) / "index.sqlite").unlink()
         command = [sys.executable, "-m", "headway_launch", "runs", "--store", folder]
         print(f"headway runs without its index: {_seconds(command):.2f} s", flush=True)
-    with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "headway_launch", "run", *TRAINING, f"store.root={folder}"]
-        log_text = subprocess.run(command, capture_output=True, text=True, check=True).stderr
-        print(next(line for line in log_text.splitlines() if line.startswith(STORE_SHARE)), flush=True)
 
 
 def make_store(root: Path, runs: int = RUNS, points: int = POINTS) -> None:

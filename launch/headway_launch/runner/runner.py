@@ -34,8 +34,6 @@ _MAX_LISTED_RUNS = 3
 _SHORTEST_MEASURED_S = 60.0
 """Minimum training time for which the store's share is printed, s; start-up and shutdown dominate shorter
 ones."""
-STORE_SHARE = "storage took"
-"""Prefix of the line that reports the store's share of the training time."""
 
 
 class Runner:
@@ -224,7 +222,7 @@ class Runner:
             kept, own = sum(recorder.store_s for recorder in recorders), self._own_cpu_s
             summed = ", summed over jobs" if len(recorders) > 1 else ""
             print_line(
-                f"{STORE_SHARE} {(kept + own) / trained:.1%} of {trained:,.0f} s of training{summed} (logs "
+                f"storage took {(kept + own) / trained:.1%} of {trained:,.0f} s of training{summed} (logs "
                 f"and checkpoints {kept:.1f} s, records and energy {own:.1f} CPU s)"
             )
 
