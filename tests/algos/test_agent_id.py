@@ -1,14 +1,14 @@
 """The agent's index as an input: who gets one, and what policies and critics read then."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from made_trajectories import fabricate
 from numpy.typing import NDArray
 
-from headway.contracts import Box, Discrete, EnvSpec, Observations, Trajectory
+from headway.contracts import Box, Discrete, EnvSpec, Observations
 from headway.contracts.acting_policy import RecurrentPolicy, hidden_size
 from headway_algos.agent_id import MAX_AGENTS, agent_ids
 from headway_algos.config import AlgoConfig
@@ -83,10 +83,7 @@ def _shown(observations: NDArray[np.float32]) -> NDArray[np.float32]:
     ],
 )
 def test_an_index_equals_one_in_the_environments_observations(
-    name: str,
-    space: Discrete | Box,
-    settings: dict[str, Any],
-    fabricate: Callable[..., Trajectory],
+    name: str, space: Discrete | Box, settings: dict[str, Any]
 ) -> None:
     """Policies act and learn alike, to the bit."""
     entry, spec = (
@@ -126,7 +123,7 @@ def test_an_index_equals_one_in_the_environments_observations(
 
 
 @pytest.mark.parametrize("name", ["mappo", "coma"])
-def test_joint_inputs_of_critics_leave_the_index_out(name: str, fabricate: Callable[..., Trajectory]) -> None:
+def test_joint_inputs_of_critics_leave_the_index_out(name: str) -> None:
     """A central critic without a state reads all observations, whose order identifies the agents."""
     entry = ENTRIES[name]
     for shared_reward in (True, False):

@@ -2,22 +2,21 @@
 
 import pickle
 import sys
-from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
 import pytest
 from covering import quick_or_slow
+from made_trajectories import fabricate
 
 from headway.config.schema import build, describe
-from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError
 from headway_algos.components import CRITIC_UPDATES, CRITICS, ORDERS, UPDATES
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.optim.config import KroneckerConfig
 from headway_algos.recipes import Recipe, recipes
 from headway_algos.registry import ENTRIES, configure
 
-Fabricate = Callable[..., Trajectory]
 DISCRETE = EnvSpec("made", tuple("abc"), 3, Discrete(2), state_size=2, groups=tuple("xyx"))
 BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)))
 UNITS = 4
@@ -53,7 +52,7 @@ def _recording(record: Any, read: set[str], prefix: str = "") -> Any:  # noqa: A
     return recorded
 
 
-def _read_keys(name: str, settings: dict[str, Any], spec: EnvSpec, fabricate: Fabricate) -> set[str]:
+def _read_keys(name: str, settings: dict[str, Any], spec: EnvSpec) -> set[str]:
     """Return the keys that an algorithm reads while its learner and policy are made and updated twice."""
     read: set[str] = set()
     entry, config = ENTRIES[name], _recording(configure(name, **settings), read)
@@ -66,7 +65,7 @@ def _read_keys(name: str, settings: dict[str, Any], spec: EnvSpec, fabricate: Fa
 
 
 @pytest.mark.parametrize(("name", "choices"), quick_or_slow(CASES, "mappo", "itrpo", "custom, kfac"))
-def test_every_key_is_read(name: str, choices: dict[str, Any], fabricate: Fabricate) -> None:
+def test_every_key_is_read(name: str, choices: dict[str, Any]) -> None:
     record = ENTRIES[name].record_for(choices)
     keys = {each.name for each in fields(record)}
     settings: dict[str, Any] = {key: value for key, value in APPLYING.items() if key in keys} | choices
@@ -78,7 +77,7 @@ def test_every_key_is_read(name: str, choices: dict[str, Any], fabricate: Fabric
     read = set()
     for spec in (DISCRETE, BOX):
         if ENTRIES[name].refuses(configure(name, **settings), spec) is None:
-            read |= _read_keys(name, settings, spec, fabricate)
+            read |= _read_keys(name, settings, spec)
     offered = {row.key for row in describe(record)} - {"name"}
     if issubclass(record, KroneckerConfig):  # refused: see below
         offered -= {"model.gru_size", "model.sequence_length"}

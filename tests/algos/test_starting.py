@@ -1,18 +1,17 @@
 """Learners that start from the policies of another run."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from learned import assert_equal, reloaded, tensors
+from made_trajectories import fabricate
 
-from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, StartingLearner, Trajectory
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, StartingLearner
 from headway_algos.config import ModelConfig
 from headway_algos.registry import ENTRIES, configure
 
-Fabricate = Callable[..., Trajectory]
 SPEC = EnvSpec("made", ("a", "b"), 3, Discrete(3), state_size=2)
 BOX = replace(SPEC, action_space=Box((-1.0,), (1.0,)))
 LARGER_STATE = replace(SPEC, state_size=4)
@@ -38,7 +37,7 @@ def _learner(algorithm: str, spec: EnvSpec, seeds: tuple[int, ...], **settings: 
     ],
 )
 def test_every_seed_starts_from_the_networks_of_one_seed_of_the_stack(
-    algorithm: str, spec: EnvSpec, settings: dict[str, Any], fabricate: Fabricate
+    algorithm: str, spec: EnvSpec, settings: dict[str, Any]
 ) -> None:
     parent = _learner(algorithm, spec, (3, 4), **settings)
     hidden_size = 4 if "model" in settings else 1 if algorithm == "ddpg" else 0
@@ -60,7 +59,7 @@ def test_every_seed_starts_from_the_networks_of_one_seed_of_the_stack(
     assert not np.concatenate(counts).any(), "optimisers start anew"
 
 
-def test_a_critic_that_does_not_fit_or_is_not_wanted_starts_anew(fabricate: Fabricate) -> None:
+def test_a_critic_that_does_not_fit_or_is_not_wanted_starts_anew() -> None:
     parent = _learner("mappo", SPEC, (3,))
     parent.update(fabricate(SPEC, 20, 2, seed=1), 1, 0.0)
     for spec, with_critic, notices in ((LARGER_STATE, True, 1), (SPEC, False, 0)):
@@ -70,7 +69,7 @@ def test_a_critic_that_does_not_fit_or_is_not_wanted_starts_anew(fabricate: Fabr
         assert_equal(child.acting_parameters(), parent.acting_parameters())
 
 
-def test_policies_that_were_split_are_taken_over(fabricate: Fabricate) -> None:
+def test_policies_that_were_split_are_taken_over() -> None:
     parent = _learner("ippo", SPEC, (3,), policies="independent", shared_until=0.5)
     for iteration, progress in ((1, 0.0), (2, 0.6)):
         parent.update(fabricate(SPEC, 20, 2, seed=iteration), iteration, progress)
@@ -94,7 +93,7 @@ def test_a_critic_of_another_kind_starts_anew() -> None:
     assert len(child.start_from(parent.state_dict(), 0, 1, with_critic=True)) == 1
 
 
-def test_replay_buffers_are_filled_while_exploration_waits(fabricate: Fabricate) -> None:
+def test_replay_buffers_are_filled_while_exploration_waits() -> None:
     """Exploration falls from 1 with the share of training, not of the rule's iterations."""
     learner = _learner("madqn", SPEC, (3,), learning_starts=10_000)
     for iteration in (1, 2, 3):

@@ -1,8 +1,8 @@
 """Every registered algorithm trains on every registered environment, or refuses it in one line."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
-from functools import cache, partial
+from dataclasses import dataclass, field, fields
+from functools import cache
 from itertools import product
 from typing import Any
 
@@ -13,18 +13,16 @@ from dials import ENTRY as DIALS
 from gpu import needs_gpu
 from learned import assert_close, assert_equal, reloaded, tensors
 from numpy.typing import NDArray
+from toy_training import opened
 
-from headway.config.experiment import StartConfig
 from headway.config.schema import build
 from headway.contracts import (
     AlgoEntry,
-    AsynchronousLearner,
     Box,
     Discrete,
     EnvEntry,
     EnvSpec,
     HeadwayError,
-    Learner,
     MultiDiscrete,
     Trajectory,
 )
@@ -33,7 +31,6 @@ from headway.rollout.async_collector import SerialContributors
 from headway.rollout.collector import Backend
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
-from headway.training.modes import AsynchronousMode, Mode, SynchronousMode
 
 pytestmark = pytest.mark.slow
 
@@ -156,17 +153,6 @@ class Trained:
         names = [name for name in self.before if not name.startswith(("observation_", "exploration"))]
         moves = [self.before[name] != self.after[name] for name in names]
         return np.any([move.reshape(len(move), -1).any(axis=1) for move in moves], axis=0)
-
-
-def opened(plan: RolloutPlan, entry: AlgoEntry, config: object, device: str) -> tuple[Learner, Backend, Mode]:
-    learner = entry.learner(config, plan.spec, plan.seeds, device)
-    if entry.contributor is None:
-        collector = SerialCollector(plan)
-        return learner, collector, SynchronousMode(learner, collector, 0, StartConfig(), iterations=1000)
-    assert isinstance(learner, AsynchronousLearner)
-    make_contributor = partial(entry.contributor, config, plan.spec, plan.seeds)
-    contributors = SerialContributors(replace(plan, make_contributor=make_contributor))
-    return learner, contributors, AsynchronousMode(learner, contributors, iterations=1000)
 
 
 def trajectories(backend: Backend) -> list[Trajectory]:

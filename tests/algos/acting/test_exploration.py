@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from covering import pairwise
+from made_observations import AGENTS, SIZE, drawn, repeated, seen, spec_with
 from numpy.typing import NDArray
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, Observations, RecurrentPolicy, generator
@@ -17,24 +18,17 @@ from headway_algos.off_policy.learner import OffPolicyLearner
 from headway_algos.registry import ENTRIES
 from headway_algos.replay_config import DDPGConfig, MADQNConfig, NetworkConfig
 
-AGENTS, COPIES, SIZE = 5, 6, 3
+COPIES = 6
 SPACES: dict[str, ActionSpace] = {"madqn": Discrete(4), "ddpg": Box((-1.0, 0.0), (3.0, 1.0))}
 METHODS: dict[str, Any] = {"madqn": QLearning, "ddpg": DeterministicPolicyGradient}
 Policies = Literal["independent", "shared", "groups"]
-
-
-def _spec(algorithm: str) -> EnvSpec:
-    return EnvSpec(
-        "made", tuple(f"a{i}" for i in range(AGENTS)), SIZE, SPACES[algorithm],
-        groups=("x", "y", "x", "z", "x"), has_action_mask=algorithm == "madqn",
-    )  # fmt: skip
 
 
 def _learner(
     algorithm: str, policies: Policies, precision: str, seeds: tuple[int, ...]
 ) -> tuple[OffPolicyLearner, Any]:
     """A learner with nonzero biases and a used normaliser, and its acting policy."""
-    spec = _spec(algorithm)
+    spec = spec_with(SPACES[algorithm])
     entry, model = ENTRIES[algorithm], NetworkConfig((8, 7), "relu")
     config = entry.config(policies=policies, agent_id=False, precision=precision, model=model)
     learner = OffPolicyLearner(config, spec, seeds, "cpu", METHODS[algorithm])
@@ -45,20 +39,6 @@ def _learner(
     stack = len(learner.replay.filled)
     learner.moments.include(1 + 2 * torch.randn(stack, 50, SIZE, generator=random))
     return learner, entry.acting_policy(config, spec)
-
-
-def _observed(spec: EnvSpec, copies: int, seed: int = 0) -> Observations:
-    draw = np.random.default_rng(seed)
-    masks = None
-    if spec.has_action_mask:
-        masks = draw.random((copies, AGENTS, 4)) < 0.6
-        masks[..., 1] |= ~masks.any(axis=-1)
-    return Observations(
-        (3 * draw.standard_normal((copies, AGENTS, SIZE))).astype(np.float32),
-        np.zeros((copies, 0), np.float32),
-        np.ones((copies, AGENTS), np.bool_),
-        masks,
-    )
 
 
 def _torch_outputs(learner: OffPolicyLearner, observed: Observations) -> NDArray[np.float64]:
@@ -79,12 +59,12 @@ def _torch_outputs(learner: OffPolicyLearner, observed: Observations) -> NDArray
 def test_greedy_actions_and_log_probabilities_equal_torch(
     policies: Policies, precision: str, replicas: int
 ) -> None:
-    spec = _spec("madqn")
+    spec = spec_with(SPACES["madqn"])
     learner, acting = _learner("madqn", policies, precision, tuple(range(replicas)))
     learner.progress = 0.3
     epsilon = learner.exploration
     assert 0.05 < epsilon < 1
-    observed = _observed(spec, replicas * COPIES)
+    observed = drawn(spec.action_space, replicas * COPIES)
     assert observed.action_masks is not None
     values = _torch_outputs(learner, observed)
     np.testing.assert_allclose(
@@ -105,9 +85,9 @@ def test_greedy_actions_and_log_probabilities_equal_torch(
     ("policies", "precision"), [("independent", "float64"), ("shared", "float32"), ("groups", "float32")]
 )
 def test_deterministic_actions_equal_torch_and_respect_the_bounds(policies: Policies, precision: str) -> None:
-    spec = _spec("ddpg")
+    spec = spec_with(SPACES["ddpg"])
     learner, acting = _learner("ddpg", policies, precision, (0, 1))
-    observed = _observed(spec, 2 * COPIES)
+    observed = drawn(spec.action_space, 2 * COPIES)
     actions, log_probs = acting.act(learner.acting_parameters(), observed, None)
     expected = np.array([1.0, 0.5]) + np.array([2.0, 0.5]) * np.tanh(_torch_outputs(learner, observed))
     np.testing.assert_allclose(actions, expected, rtol=1e-5, atol=1e-5)
@@ -118,18 +98,13 @@ def test_deterministic_actions_equal_torch_and_respect_the_bounds(policies: Poli
 @pytest.mark.parametrize("epsilon", [0.0, 0.3, 1.0])
 def test_epsilon_is_the_probability_of_a_random_allowed_action(epsilon: float) -> None:
     """Frequencies within 5 standard deviations; epsilon includes its share of the best action."""
-    draws, spec = 40_000, _spec("madqn")
+    draws, spec = 40_000, spec_with(SPACES["madqn"])
     learner, acting = _learner("madqn", "shared", "float64", (0,))
     parameters = {**learner.acting_parameters(), "exploration": np.full((1, 1, 1), epsilon)}
-    one = _observed(spec, 1)
+    one = drawn(spec.action_space, 1)
     assert one.action_masks is not None
-    masks = np.repeat(one.action_masks, draws, axis=0)
-    many = Observations(
-        np.repeat(one.observations, draws, axis=0), np.zeros((draws, 0), np.float32),
-        np.ones((draws, AGENTS), np.bool_), masks,
-    )  # fmt: skip
     best, _ = acting.act(parameters, one, None)
-    actions, _ = acting.act(parameters, many, acting.noise(generator(0, "action", 0), draws))
+    actions, _ = acting.act(parameters, repeated(one, draws), acting.noise(generator(0, "action", 0), draws))
     for agent in range(AGENTS):
         allowed = one.action_masks[0, agent]
         chance = allowed * epsilon / allowed.sum() + (1 - epsilon) * (np.arange(4) == best[0, agent])
@@ -165,9 +140,7 @@ def test_noise_has_the_variance_and_autocorrelation_of_an_ornstein_uhlenbeck_pro
     assert isinstance(policy, RecurrentPolicy)
     noise = policy.noise(generator(0, "action", 0), steps)
     memory = np.zeros((1, agents, policy.hidden_size))
-    observed = Observations(
-        np.zeros((1, agents, 1), np.float32), np.zeros((1, 0), np.float32), np.ones((1, agents), np.bool_)
-    )
+    observed = seen(np.zeros((1, agents, 1), np.float32))
     path = np.empty((steps, agents))
     for t in range(steps):
         actions, _, memory = policy.act_from(parameters, observed, memory, noise[t][None])
@@ -185,9 +158,7 @@ def test_noise_has_the_variance_and_autocorrelation_of_an_ornstein_uhlenbeck_pro
 
 def test_noise_is_unchanged_while_an_agent_is_absent_or_acts_greedily() -> None:
     policy, parameters = _ornstein_uhlenbeck(0.15, 0.2, 2)
-    observed = Observations(
-        np.zeros((1, 2, 1), np.float32), np.zeros((1, 0), np.float32), np.array([[True, False]])
-    )
+    observed = seen(np.zeros((1, 2, 1), np.float32), alive=np.array([[True, False]]))
     memory = np.array([[[0.5], [0.7]]])
     noise = policy.noise(generator(0, "action", 0), 1)[0][None]
     _, _, after = policy.act_from(parameters, observed, memory, noise)
@@ -199,10 +170,10 @@ def test_noise_is_unchanged_while_an_agent_is_absent_or_acts_greedily() -> None:
 
 
 def test_noisy_actions_stay_within_the_bounds() -> None:
-    spec = _spec("ddpg")
+    spec = spec_with(SPACES["ddpg"])
     learner, acting = _learner("ddpg", "shared", "float32", (0,))
     noise = 20 * acting.noise(generator(0, "action", 0), COPIES)
-    actions, _ = acting.act(learner.acting_parameters(), _observed(spec, COPIES), noise)
+    actions, _ = acting.act(learner.acting_parameters(), drawn(spec.action_space, COPIES), noise)
     assert (actions >= np.float32([-1, 0])).all()
     assert (actions <= np.float32([3, 1])).all()
     assert {-1.0, 3.0} <= set(actions[..., 0].ravel().tolist())
@@ -213,9 +184,7 @@ def test_where_bounds_are_equal_that_value_is_acted_however_much_is_explored() -
     config = DDPGConfig(policies="shared")
     learner = ENTRIES["ddpg"].learner(config, spec, (0,), "cpu")
     acting = ENTRIES["ddpg"].acting_policy(config, spec)
-    observed = Observations(
-        np.ones((50, 2, 1), np.float32), np.zeros((50, 0), np.float32), np.ones((50, 2), np.bool_)
-    )
+    observed = seen(np.ones((50, 2, 1), np.float32))
     parameters = {**learner.acting_parameters(), "exploration": np.full((1, 1, 1), 5.0)}
     actions, _ = acting.act(parameters, observed, acting.noise(generator(0, "action", 0), 50))
     assert (actions[..., 1] == np.float32(0.3)).all()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from covering import pairwise
+from made_observations import AGENTS, SIZE, drawn, repeated, seen, spec_with
 from numpy.typing import NDArray
 
 from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, MultiDiscrete, Observations, generator
@@ -15,7 +16,7 @@ from headway_algos.config import ModelConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.registry import configure
 
-AGENTS, COPIES, SIZE = 5, 6, 3
+COPIES = 6
 Policies = Literal["independent", "shared", "groups"]
 Precision = Literal["float32", "float64"]
 SPACES: dict[str, ActionSpace] = {
@@ -23,32 +24,6 @@ SPACES: dict[str, ActionSpace] = {
     "several": MultiDiscrete((2, 3, 1)),
     "box": Box((-1.0, -1.0), (1.0, 1.0)),
 }
-
-
-def _spec(space: ActionSpace) -> EnvSpec:
-    return EnvSpec(
-        "made", tuple(f"a{i}" for i in range(AGENTS)), SIZE, space,
-        groups=("x", "y", "x", "z", "x"),
-        has_action_mask=not isinstance(space, Box),
-    )  # fmt: skip
-
-
-def _observed(spec: EnvSpec, copies: int, seed: int = 0) -> Observations:
-    draw = np.random.default_rng(seed)
-    masks = None
-    if isinstance(spec.action_space, Discrete):
-        masks = draw.random((copies, AGENTS, spec.action_space.n)) < 0.6
-        masks[..., 1] |= ~masks.any(axis=-1)
-    if isinstance(spec.action_space, MultiDiscrete):
-        masks = draw.random((copies, AGENTS, 6)) < 0.6
-        for choice, last in ((slice(0, 2), 1), (slice(2, 5), 4), (slice(5, 6), 5)):
-            masks[..., last] |= ~masks[..., choice].any(axis=-1)
-    return Observations(
-        (3 * draw.standard_normal((copies, AGENTS, SIZE))).astype(np.float32),
-        np.zeros((copies, 0), np.float32),
-        np.ones((copies, AGENTS), np.bool_),
-        masks,
-    )
 
 
 def _learner(
@@ -111,9 +86,9 @@ def test_log_probabilities_equal_torch(
     normalise: bool,
 ) -> None:
     """The parameters cover observations that a normaliser would clip, with and without normalisation."""
-    spec = _spec(SPACES[space])
+    spec = spec_with(SPACES[space])
     learner, acting = _learner(spec, policies, precision, tuple(range(replicas)), activation, normalise)
-    observed = _observed(spec, replicas * COPIES)
+    observed = drawn(spec.action_space, replicas * COPIES)
     if not normalise:
         observed.observations[...] *= 30
     random = np.random.default_rng(1)
@@ -128,9 +103,9 @@ def test_log_probabilities_equal_torch(
 
 def test_each_group_follows_its_own_policy() -> None:
     """x = agents 0, 2, 4; y = 1; z = 3: the same observation gives the same outputs within a group only."""
-    spec = _spec(SPACES["box"])
+    spec = spec_with(SPACES["box"])
     learner, acting = _learner(spec, "groups", "float64", (0, 1))
-    observed = _observed(spec, 2)
+    observed = drawn(spec.action_space, 2)
     observed.observations[...] = 0.7
     actions, _ = acting.act(learner.acting_parameters(), observed, None)
     for replica in actions:
@@ -144,22 +119,16 @@ def _sampled(
     learner: OnPolicyLearner, acting: MLPActingPolicy, one: Observations, draws: int
 ) -> NDArray[Any]:
     """Actions drawn for the same observations of one copy, (draws, N, ...)."""
-    many = Observations(
-        np.repeat(one.observations, draws, axis=0),
-        np.zeros((draws, 0), np.float32),
-        np.ones((draws, AGENTS), np.bool_),
-        None if one.action_masks is None else np.repeat(one.action_masks, draws, axis=0),
-    )
     noise = acting.noise(generator(0, "action"), draws)
-    return acting.act(learner.acting_parameters(), many, noise)[0]
+    return acting.act(learner.acting_parameters(), repeated(one, draws), noise)[0]
 
 
 @pytest.mark.parametrize(("space", "choices"), [("discrete", (4,)), ("several", (2, 3, 1))])
 def test_frequencies_of_sampled_actions_are_the_probabilities(space: str, choices: tuple[int, ...]) -> None:
     """Each choice of a MultiDiscrete action is drawn independently, among its allowed options."""
-    spec, draws = _spec(SPACES[space]), 40_000
+    spec, draws = spec_with(SPACES[space]), 40_000
     learner, acting = _learner(spec, "shared", "float64", (0,))
-    one = _observed(spec, 1)
+    one = drawn(spec.action_space, 1)
     assert one.action_masks is not None
     actions = _sampled(learner, acting, one, draws)
     first = np.cumsum([0, *choices[:-1]])  # each choice's first option among all
@@ -175,10 +144,10 @@ def test_frequencies_of_sampled_actions_are_the_probabilities(space: str, choice
 
 @pytest.mark.parametrize("uniform", [0.0, 0.5, 1 - 2**-53])
 def test_forbidden_actions_are_never_sampled_at_the_edges_of_the_uniform(uniform: float) -> None:
-    spec = _spec(SPACES["discrete"])
+    spec = spec_with(SPACES["discrete"])
     for precision in ("float32", "float64"):
         learner, acting = _learner(spec, "shared", precision, (0,))
-        observed = _observed(spec, 500, seed=7)
+        observed = drawn(spec.action_space, 500, seed=7)
         assert observed.action_masks is not None
         noise = np.full((500, AGENTS), uniform)
         actions, log_probs = acting.act(learner.acting_parameters(), observed, noise)
@@ -187,9 +156,9 @@ def test_forbidden_actions_are_never_sampled_at_the_edges_of_the_uniform(uniform
 
 
 def test_gaussian_actions_have_the_mean_and_deviation_of_the_policy() -> None:
-    spec, draws = _spec(SPACES["box"]), 40_000
+    spec, draws = spec_with(SPACES["box"]), 40_000
     learner, acting = _learner(spec, "independent", "float64", (0,))
-    one = _observed(spec, 1)
+    one = drawn(spec.action_space, 1)
     actions = _sampled(learner, acting, one, draws)
     mean, _ = acting.act(learner.acting_parameters(), one, None)
     std = np.exp(-0.5)
@@ -198,9 +167,9 @@ def test_gaussian_actions_have_the_mean_and_deviation_of_the_policy() -> None:
 
 
 def test_greedy_actions_are_the_mode() -> None:
-    spec = _spec(SPACES["discrete"])
+    spec = spec_with(SPACES["discrete"])
     learner, acting = _learner(spec, "groups", "float64", (0,))
-    observed = _observed(spec, COPIES)
+    observed = drawn(spec.action_space, COPIES)
     greedy, _ = acting.act(learner.acting_parameters(), observed, None)
     every = [_torch_log_probs(learner, observed, np.full((COPIES, AGENTS), a)) for a in range(4)]
     np.testing.assert_array_equal(greedy, np.argmax(every, axis=0))
@@ -212,6 +181,6 @@ def test_a_single_agents_observations_are_not_modified() -> None:
     config = configure("custom", model=ModelConfig(hidden=(4,)))
     learner, acting = OnPolicyLearner(config, spec, (0,), "cpu"), MLPActingPolicy.of(config, spec)
     observations = np.full((2, 1, SIZE), np.nan, np.float32)
-    observed = Observations(observations, np.zeros((2, 0), np.float32), np.zeros((2, 1), np.bool_))
+    observed = seen(observations, alive=np.zeros((2, 1), np.bool_))
     acting.act(learner.acting_parameters(), observed, None)
     assert np.isnan(observations).all()

@@ -1,11 +1,11 @@
 """Rows by policy, minibatches and truncations."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from made_trajectories import fabricate
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -130,7 +130,7 @@ def test_padding_repeats_a_networks_own_selected_rows() -> None:
             assert selected[1, index[1]].all()
 
 
-def test_truncations_are_found_and_inserted_back(fabricate: Callable[..., Trajectory]) -> None:
+def test_truncations_are_found_and_inserted_back() -> None:
     made = fabricate(SPEC, 10, REPLICAS * COPIES, seed=5, ends=0.2, leaves=0.05)
     made.truncated[:, :COPIES] = False  # replicas differ in how many there are
     made.truncated[3, 1] = True

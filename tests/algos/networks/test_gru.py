@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from made_trajectories import DISCRETE, fabricate
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import Discrete, EnvSpec, HeadwayError, Trajectory
+from headway.contracts import EnvSpec, HeadwayError, Trajectory
 from headway.rollout.plan import RolloutPlan
 from headway.rollout.serial_collector import SerialCollector
 from headway_algos.batches.hidden_states import HiddenStates
@@ -28,16 +29,12 @@ from headway_algos.optim.fisher import double_backward, from_vector
 from headway_algos.registry import ENTRIES, configure
 from headway_envs.toy.visitors import Visitors, VisitorsConfig
 
-Fabricate = Callable[..., Trajectory]
 UNITS, LENGTH = 5, 3
 GRU = ModelConfig(hidden=(6,), core="gru", gru_size=UNITS, sequence_length=LENGTH, actor_gain=1.0)
 SETTINGS: dict[str, Any] = {
     "policies": "independent",
     "model": GRU, "precision": "float64", "lr": 3e-3, "minibatches": 2, "epochs": 2, "grad_clip": None,
 }  # fmt: skip
-DISCRETE = EnvSpec(
-    "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
-)
 
 
 def named(name: str, **settings: Any) -> Any:  # noqa: ANN401 - any record
@@ -148,7 +145,7 @@ def test_hidden_states_of_workers_equal_torch_along_whole_trajectories(policies:
     collector.close()
 
 
-def made(fabricate: Fabricate, spec: EnvSpec, seed: int, steps: int = 8, **chances: float) -> Trajectory:
+def made(spec: EnvSpec, seed: int, steps: int = 8, **chances: float) -> Trajectory:
     """A trajectory of three copies in which some agents start with nonzero hidden states."""
     return fabricate(spec, steps, 3, seed, hidden_size=UNITS, **{"ends": 0.15, "leaves": 0.05, **chances})
 
@@ -175,9 +172,9 @@ def naive_hidden_states(
 
 
 @pytest.mark.parametrize("policies", ["independent", "shared", "groups"])
-def test_replayed_hidden_states_equal_a_loop_over_agents(fabricate: Fabricate, policies: str) -> None:
+def test_replayed_hidden_states_equal_a_loop_over_agents(policies: str) -> None:
     config = named("ippo", policies=policies, normalise_observations=False, piece_samples=40)
-    learner, track = OnPolicyLearner(config, DISCRETE, (0,), "cpu"), made(fabricate, DISCRETE, 1, absent=0.3)
+    learner, track = OnPolicyLearner(config, DISCRETE, (0,), "cpu"), made(DISCRETE, 1, absent=0.3)
     network = learner.actor.network
     assert isinstance(network, RecurrentNetwork)
     hidden_states = learner._hidden_states(track, learner._observations(track, learner.actor))
@@ -217,12 +214,10 @@ def naive_surrogate(actor: Actor, track: Trajectory, advantages: NDArray[Any], c
 
 
 @pytest.mark.parametrize("piece_samples", [10, 5120])
-def test_gradients_through_sequences_equal_a_loop(fabricate: Fabricate, piece_samples: int) -> None:
+def test_gradients_through_sequences_equal_a_loop(piece_samples: int) -> None:
     """T = 8 in sequences of 3: the last is filled up. Streams end, and agents are away, in their midst."""
     config = named("itrpo", normalise_observations=False, piece_samples=piece_samples)
-    learner, track = OnPolicyLearner(config, DISCRETE, (0,), "cpu"), made(
-        fabricate, DISCRETE, 2, absent=0.3, idle=0.3
-    )  # fmt: skip
+    learner, track = OnPolicyLearner(config, DISCRETE, (0,), "cpu"), made(DISCRETE, 2, absent=0.3, idle=0.3)
     randomised(learner.actor.network)  # type: ignore[arg-type]  # it remembers
     advantages = np.random.default_rng(0).standard_normal(track.rewards.shape)
     batch = WholeBatch.of(*rows_of(learner, track, advantages))
@@ -245,7 +240,7 @@ def rows_of(
     return rows, learner.layout.rows(np.broadcast_to(advantages, track.rewards.shape))
 
 
-def test_fisher_products_backpropagate_through_time(fabricate: Fabricate) -> None:
+def test_fisher_products_backpropagate_through_time() -> None:
     """Against the Hessian of the mean KL of one small policy, entry by entry."""
     model = replace(GRU, hidden=(), gru_size=2)
     config = named("itrpo", model=model, normalise_observations=False)
@@ -273,7 +268,7 @@ def test_fisher_products_backpropagate_through_time(fabricate: Fabricate) -> Non
         torch.testing.assert_close(product(unit)[0], hessian[i], rtol=0, atol=1e-10)
 
 
-def test_hidden_states_of_critics_continue_across_iterations(fabricate: Fabricate) -> None:
+def test_hidden_states_of_critics_continue_across_iterations() -> None:
     """Values of a local critic against a loop; the second trajectory continues from the first one's hidden
     states, and final values of truncated streams use the hidden state at the truncation."""
     config = named("ippo", normalise_observations=False, normalise_values=False, lr=1e-9, gae_lambda=0.0)
@@ -284,7 +279,7 @@ def test_hidden_states_of_critics_continue_across_iterations(fabricate: Fabricat
     assert isinstance(network, RecurrentNetwork)
     carried = np.zeros((3, 4, UNITS))
     for iteration in (1, 2):
-        track = made(fabricate, DISCRETE, 5 + iteration, absent=0.2)
+        track = made(DISCRETE, 5 + iteration, absent=0.2)
         track.begins[:] = np.random.default_rng(iteration).random(track.begins.shape) < 0.5
         track.hidden_states[0] = np.where(track.begins[0][..., None], 0, carried)
         before, after = naive_hidden_states(network, track.observations, track, lambda n: n)

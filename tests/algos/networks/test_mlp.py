@@ -133,15 +133,6 @@ def test_running_moments_of_a_network_are_bit_for_bit_those_it_has_alone(batch: 
     assert torch.equal(stacked.variance[1], alone.variance[0])
 
 
-def test_running_moments_without_a_selection_take_every_row() -> None:
-    rows = torch.randn(2, 30, 3, generator=torch.Generator().manual_seed(4))
-    one, other = RunningStatistics(2, 3), RunningStatistics(2, 3)
-    one.include(rows)
-    other.include(rows, np.ones((2, 30), np.bool_))
-    torch.testing.assert_close(one.mean, other.mean)
-    torch.testing.assert_close(one.variance, other.variance)
-
-
 def test_a_single_row_leaves_no_trace_of_the_variance_assumed_before() -> None:
     rows = torch.tensor([[[3.0], [5.0], [10.0]]], dtype=torch.float64)
     moments = RunningStatistics(1, 1)

@@ -1,16 +1,16 @@
 """Running statistics that forget, against weighted means over all rows."""
 
 import io
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from made_trajectories import fabricate
 from numpy.typing import NDArray
 
-from headway.contracts import Discrete, EnvSpec, Trajectory
+from headway.contracts import Discrete, EnvSpec
 from headway_algos.config import ModelConfig
 from headway_algos.networks.normalisation import RunningStatistics
 from headway_algos.on_policy.critics.return_regression import RETURN_BATCHES, RETURN_MEMORY, RETURN_SHARE
@@ -88,7 +88,7 @@ def test_statistics_stored_with_equal_weights_are_restored_and_then_forgotten() 
     assert abs(float(new.mean[0, 0, 0])) < 0.01
 
 
-def test_returns_are_normalised_by_recent_ones(fabricate: Callable[..., Trajectory]) -> None:
+def test_returns_are_normalised_by_recent_ones() -> None:
     """The limit on earlier batches also holds when training continues from a checkpoint."""
     spec, draw = EnvSpec("made", ("a",), 1, Discrete(2)), np.random.default_rng(2)
     settings = configure("ippo", model=ModelConfig((4,)), epochs=1, minibatches=1)

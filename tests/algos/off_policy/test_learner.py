@@ -1,6 +1,5 @@
 """The learner: each policy by itself, from its own experience."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -9,6 +8,7 @@ import pytest
 import torch
 from covering import pairwise
 from learned import assert_close, assert_equal, of_agents, tensors
+from made_trajectories import fabricate, poisoned
 from numpy.typing import NDArray
 
 from headway.contracts import (
@@ -24,7 +24,6 @@ from headway_algos.off_policy.learner import OffPolicyLearner
 from headway_algos.registry import ENTRIES
 from headway_algos.replay_config import DDPGConfig, MADQNConfig, NetworkConfig, ReplayConfig
 
-Fabricate = Callable[..., Trajectory]
 Policies = Literal["independent", "shared", "groups"]
 AGENTS = ("a", "b", "c")
 DISCRETE = EnvSpec(
@@ -60,7 +59,7 @@ def _tensors(learner: OffPolicyLearner) -> dict[str, NDArray[Any]]:
 
 @every_case
 def test_an_independent_policy_trains_the_same_alone_and_among_others(
-    fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
+    config: ReplayConfig, spec: EnvSpec
 ) -> None:
     among = _learner(config, spec, (4,))
     alone = _learner(config, replace(spec, agents=("a",), groups=("x",)), (4,))
@@ -75,12 +74,7 @@ def test_an_independent_policy_trains_the_same_alone_and_among_others(
 
 
 @every_case
-def test_poisoned_rows_without_experience_change_nothing(
-    fabricate: Fabricate,
-    poisoned: Callable[[Trajectory], Trajectory],
-    config: ReplayConfig,
-    spec: EnvSpec,
-) -> None:
+def test_poisoned_rows_without_experience_change_nothing(config: ReplayConfig, spec: EnvSpec) -> None:
     clean, bad = (_learner(config, spec, (1, 2)) for _ in range(2))
     for iteration in (1, 2):
         made = fabricate(spec, 9, 4, seed=iteration, absent=0.4, idle=0.4, leaves=0.05)
@@ -90,9 +84,7 @@ def test_poisoned_rows_without_experience_change_nothing(
 
 
 @every_case
-def test_nothing_is_learned_before_the_buffer_holds_enough(
-    fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
-) -> None:
+def test_nothing_is_learned_before_the_buffer_holds_enough(config: ReplayConfig, spec: EnvSpec) -> None:
     """Each policy waits for its own replay buffer to fill."""
     learner = _learner(replace(config, learning_starts=25), spec, (1,))
     before = [array.detach().clone() for array in learner.method.network.parameters()]
@@ -114,7 +106,7 @@ def test_nothing_is_learned_before_the_buffer_holds_enough(
 @every_case
 @pytest.mark.parametrize("normalised", [True, False])
 def test_with_normalised_rewards_their_unit_does_not_matter(
-    fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec, normalised: bool
+    config: ReplayConfig, spec: EnvSpec, normalised: bool
 ) -> None:
     """Rewards eight times larger, a power of two, give values eight times larger; all else is the same."""
     config = replace(config, normalise_rewards=normalised)
@@ -130,7 +122,7 @@ def test_with_normalised_rewards_their_unit_does_not_matter(
         np.testing.assert_array_equal(infos[1]["critic/value"], 8 * infos[0]["critic/value"])
 
 
-def test_the_scale_of_rewards_is_the_root_mean_square_of_stored_returns(fabricate: Fabricate) -> None:
+def test_the_scale_of_rewards_is_the_root_mean_square_of_stored_returns() -> None:
     learner = _learner(MADQN, DISCRETE, (1,))
     assert learner.replay.return_scale().tolist() == [1, 1, 1]
     learner.update(fabricate(DISCRETE, 10, 3, seed=0, ends=0.3), 1, 0.0)
@@ -141,9 +133,7 @@ def test_the_scale_of_rewards_is_the_root_mean_square_of_stored_returns(fabricat
 
 
 @pytest.mark.parametrize("decay", [None, 8.0])
-def test_exploration_of_both_schedules_lags_by_one_iteration_and_is_reported(
-    fabricate: Fabricate, decay: float | None
-) -> None:
+def test_exploration_of_both_schedules_lags_by_one_iteration_and_is_reported(decay: float | None) -> None:
     """The schedules also continue from a checkpoint."""
     config = replace(MADQN, exploration_start=0.8, exploration_end=0.2, exploration_decay_steps=decay)
     learner = _learner(config, DISCRETE, (1, 2))
@@ -160,7 +150,7 @@ def test_exploration_of_both_schedules_lags_by_one_iteration_and_is_reported(
         assert other.exploration == learner.exploration
 
 
-def test_learning_rates_are_annealed_linearly(fabricate: Fabricate) -> None:
+def test_learning_rates_are_annealed_linearly() -> None:
     learner = _learner(replace(DDPG, lr_end=0.1), BOX, (1,))
     for iteration, (progress, share) in enumerate(((0.0, 1.0), (0.5, 0.55), (1.0, 0.1)), start=1):
         learner.update(fabricate(BOX, 4, 2, seed=0), iteration, progress)
@@ -170,9 +160,7 @@ def test_learning_rates_are_annealed_linearly(fabricate: Fabricate) -> None:
 
 
 @every_case
-def test_policies_that_are_no_longer_finite_are_named(
-    fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
-) -> None:
+def test_policies_that_are_no_longer_finite_are_named(config: ReplayConfig, spec: EnvSpec) -> None:
     learner = _learner(config, spec, (4, 6))
     with torch.no_grad():
         learner.method.network.weights[0][5, 0, 0] = np.nan
@@ -184,9 +172,7 @@ def test_policies_that_are_no_longer_finite_are_named(
 
 
 @every_case
-def test_an_absurd_learning_rate_ends_in_one_line(
-    fabricate: Fabricate, config: ReplayConfig, spec: EnvSpec
-) -> None:
+def test_an_absurd_learning_rate_ends_in_one_line(config: ReplayConfig, spec: EnvSpec) -> None:
     wild = replace(config, lr=1e30, precision="float32", grad_clip=None, loss="squared")
     learner = _learner(wild if wild.name == "madqn" else replace(wild, critic_lr=1e30), spec, (1,))
 
@@ -243,9 +229,7 @@ def test_actions_of_the_other_kind_are_refused_in_one_line(name: str, space: Act
 @pytest.mark.parametrize(
     ("case", "policies", "iterations"), pairwise(CASES, ["independent", "shared", "groups"], [1, 6])
 )
-def test_replay_bytes_are_predicted(
-    fabricate: Fabricate, case: str, policies: Policies, iterations: int
-) -> None:
+def test_replay_bytes_are_predicted(case: str, policies: Policies, iterations: int) -> None:
     """The prediction is compared with a seed whose agents act at every step, with full and partly filled
     buffers."""
     config, spec = CASES[case]

@@ -86,17 +86,17 @@ def test_q_targets_are_those_of_a_loop(double: bool) -> None:
     assert torch.equal(targets[:, 0], batch.returns[:, 0])
 
 
-def test_the_value_of_a_forbidden_action_never_enters_a_target() -> None:
-    method, batch = QLearning(MADQN, DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
-    before = method.targets(batch)
-    with torch.no_grad():
-        for network in (method.network, method.target.network):
-            network.biases[-1][:, 3] = 1e9
-    masks = torch.ones(P, B, A, dtype=torch.bool)
-    masks[..., 3] = False
-    assert method.targets(replace(batch, next_masks=masks)).abs().max() < 1e6
-    assert method.targets(batch).abs().max() > 1e6
-    assert before.abs().max() < 1e6
+def _assert_descends(
+    method: QLearning | DeterministicPolicyGradient, batch: Batch, losses: list[Tensor]
+) -> None:
+    """Each policy takes Adam's first step on its loss: the gradient over its absolute value."""
+    parameters = list(method.network.parameters())
+    before = [parameter.detach().clone() for parameter in parameters]
+    gradients = torch.autograd.grad(torch.stack(losses).sum(), parameters)
+    method.learn(batch, ALL)
+    for old, parameter, gradient in zip(before, parameters, gradients, strict=True):
+        expected = old - method.config.lr * gradient / (gradient.abs() + 1e-5)
+        np.testing.assert_allclose(parameter.detach(), expected, rtol=1e-9, atol=1e-12)
 
 
 def test_a_step_of_q_learning_is_adam_s_on_the_mean_loss_of_the_actions_taken() -> None:
@@ -104,21 +104,14 @@ def test_a_step_of_q_learning_is_adam_s_on_the_mean_loss_of_the_actions_taken() 
     method, batch = QLearning(config, DISCRETE, SEEDS, K, CPU), _batch(DISCRETE)
     _randomise_target(method.target)
     targets = method.targets(batch)
-    before = [parameter.detach().clone() for parameter in method.network.parameters()]
-    gradients: list[list[Tensor]] = []
+    losses = []
     for p in range(P):
         loss = torch.zeros((), dtype=DOUBLE)
         for b in range(B):
             value = _by_hand(method.network, p, batch.observations[p, b])[batch.actions[p, b]]
             loss = loss + 0.5 * (value - targets[p, b]) ** 2 / B
-        of_stack = torch.autograd.grad(loss, list(method.network.parameters()))
-        gradients.append([gradient[p] for gradient in of_stack])
-    method.learn(batch, ALL)
-    for i, (old, parameter) in enumerate(zip(before, method.network.parameters(), strict=True)):
-        gradient = torch.stack([of_policy[i] for of_policy in gradients])
-        # Adam's first step is the gradient over its absolute value.
-        expected = old - config.lr * gradient / (gradient.abs() + 1e-5)
-        np.testing.assert_allclose(parameter.detach(), expected, rtol=1e-9, atol=1e-12)
+        losses.append(loss)
+    _assert_descends(method, batch, losses)
 
 
 def test_deterministic_targets_are_those_of_a_loop() -> None:
@@ -141,8 +134,7 @@ def test_actors_ascend_the_critic_along_their_own_action(saturation_coeff: float
     squares of the inputs of tanh."""
     config = replace(DDPG, critic_lr=1e-30, tau=1.0, target_every=1000, saturation_coeff=saturation_coeff)
     method, batch = DeterministicPolicyGradient(config, BOX, SEEDS, K, CPU), _batch(BOX)
-    before = [parameter.detach().clone() for parameter in method.network.parameters()]
-    gradients: list[list[Tensor]] = []
+    losses = []
     for p in range(P):
         gain = torch.zeros((), dtype=DOUBLE)
         for b in range(B):
@@ -150,13 +142,8 @@ def test_actors_ascend_the_critic_along_their_own_action(saturation_coeff: float
             output = _by_hand(method.network, p, now)
             gain = gain + _by_hand(method.critic, p, torch.cat([now, output.tanh()]))[0] / B
             gain = gain - saturation_coeff * (output**2).sum() / B
-        of_stack = torch.autograd.grad(gain, list(method.network.parameters()))
-        gradients.append([gradient[p] for gradient in of_stack])
-    method.learn(batch, ALL)
-    for i, (old, parameter) in enumerate(zip(before, method.network.parameters(), strict=True)):
-        gradient = torch.stack([of_policy[i] for of_policy in gradients])
-        expected = old + config.lr * gradient / (gradient.abs() + 1e-5)
-        np.testing.assert_allclose(parameter.detach(), expected, rtol=1e-9, atol=1e-12)
+        losses.append(-gain)
+    _assert_descends(method, batch, losses)
 
 
 def test_critics_see_actions_in_units_of_the_bounds() -> None:

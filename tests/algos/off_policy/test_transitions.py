@@ -1,18 +1,17 @@
 """Semi-Markov transitions against a walk along each agent's stream."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from covering import pairwise
+from made_trajectories import fabricate, poisoned
 from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory
 from headway_algos.off_policy.transitions import TransitionBuilder, Transitions
 
-Fabricate = Callable[..., Trajectory]
 GAMMA = 0.9
 SPEC = EnvSpec(
     "made", ("a", "b", "c"), 3, Discrete(4), has_action_mask=True, agents_come_and_go=True, snapshots=True
@@ -95,9 +94,7 @@ def _assert_same(got: list[Row], expected: list[Row]) -> None:
 
 
 @pytest.mark.parametrize(("n_step", "spec", "idle"), pairwise([1, 2, 5], [SPEC, TEAM, TEAMS], [0.0, 0.6]))
-def test_transitions_are_those_of_a_walk_along_each_stream(
-    fabricate: Fabricate, n_step: int, idle: float, spec: EnvSpec
-) -> None:
+def test_transitions_are_those_of_a_walk_along_each_stream(n_step: int, idle: float, spec: EnvSpec) -> None:
     """Over three iterations, with agents absent, idle, truncated and terminated, singly and together."""
     parts = [fabricate(spec, 7, 4, seed=i, absent=0.3, idle=idle, ends=0.1, leaves=0.05) for i in range(3)]
     for part in parts:
@@ -112,9 +109,7 @@ def test_transitions_are_those_of_a_walk_along_each_stream(
     _assert_same(_rows(made), expected)
 
 
-def test_rows_without_experience_are_never_read(
-    fabricate: Fabricate, poisoned: Callable[[Trajectory], Trajectory]
-) -> None:
+def test_rows_without_experience_are_never_read() -> None:
     made = fabricate(SPEC, 12, 4, seed=3, absent=0.3, idle=0.3, ends=0.2, leaves=0.1)
     clean, bad = (TransitionBuilder(SPEC, GAMMA, 2).transitions(part) for part in (made, poisoned(made)))
     assert len(clean) > 20
@@ -124,7 +119,7 @@ def test_rows_without_experience_are_never_read(
     assert np.isfinite(bad.next_observations).all()
 
 
-def test_without_snapshots_transitions_end_with_the_iteration(fabricate: Fabricate) -> None:
+def test_without_snapshots_transitions_end_with_the_iteration() -> None:
     """They end at the agent's last observation, and none stays open."""
     spec = replace(SPEC, snapshots=False)
     made = fabricate(spec, 6, 5, seed=2, absent=0.3, idle=0.5, ends=0.0)
@@ -151,7 +146,7 @@ def test_without_snapshots_transitions_end_with_the_iteration(fabricate: Fabrica
     assert checked == len(transitions) - len(walked)
 
 
-def test_open_decisions_are_kept_in_the_state(fabricate: Fabricate) -> None:
+def test_open_decisions_are_kept_in_the_state() -> None:
     parts = [fabricate(SPEC, 5, 4, seed=i, absent=0.3, idle=0.6) for i in range(2)]
     builder, other = (TransitionBuilder(SPEC, GAMMA, 2) for _ in range(2))
     builder.transitions(parts[0])
@@ -163,7 +158,7 @@ def test_open_decisions_are_kept_in_the_state(fabricate: Fabricate) -> None:
         np.testing.assert_array_equal(getattr(restored, name), getattr(continued, name))
 
 
-def test_a_state_stored_before_masks_were_kept_is_restored(fabricate: Fabricate) -> None:
+def test_a_state_stored_before_masks_were_kept_is_restored() -> None:
     parts = [fabricate(SPEC, 5, 4, seed=i, absent=0.3, idle=0.6) for i in range(2)]
     builder, other = (TransitionBuilder(SPEC, GAMMA, 2) for _ in range(2))
     builder.transitions(parts[0])
@@ -173,7 +168,7 @@ def test_a_state_stored_before_masks_were_kept_is_restored(fabricate: Fabricate)
     assert (restored.next_masks >= continued.next_masks).all()
 
 
-def test_box_actions_are_stored_with_all_components(fabricate: Fabricate) -> None:
+def test_box_actions_are_stored_with_all_components() -> None:
     spec = replace(SPEC, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
     made = fabricate(spec, 6, 2, seed=0)
     transitions = TransitionBuilder(spec, GAMMA, 1).transitions(made)
@@ -182,9 +177,7 @@ def test_box_actions_are_stored_with_all_components(fabricate: Fabricate) -> Non
 
 
 @pytest.mark.parametrize("away", [0, 2, 7])
-def test_actions_never_allowed_are_not_allowed_at_a_time_limit_either(
-    fabricate: Fabricate, away: int
-) -> None:
+def test_actions_never_allowed_are_not_allowed_at_a_time_limit_either(away: int) -> None:
     """This includes agents that have been absent for some steps when their stream is cut, possibly since an
     earlier iteration."""
     parts = [fabricate(SPEC, 5, 3, seed=i, ends=0.0) for i in range(2)]

@@ -4,7 +4,7 @@ The naive learner has no stacks: torch.nn modules, torch.optim.Adam, torch.distr
 (agent, step, copy). It shares with Headway the initial weights and the order of minibatches.
 """
 
-from collections.abc import Callable, Sequence, Sized
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 import torch
 from covering import quick_or_slow
+from made_trajectories import BOX, DISCRETE, TEAM, fabricate, naive_advantages, poisoned
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.distributions import Categorical, Distribution, Independent, Normal, kl_divergence
 
-from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
+from headway.contracts import EnvSpec, Trajectory, generator
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.networks.mlp import StackedMLP
 from headway_algos.on_policy.learner import OnPolicyLearner
@@ -26,14 +27,9 @@ from headway_algos.registry import configure
 Row = tuple[int, int, int]
 """Agent, step, copy."""
 Array = NDArray[np.float64]
-Oracle = Callable[..., Array]
 DOUBLE = torch.float64
 
-DISCRETE = EnvSpec(
-    "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
-)
-BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False, state_size=5)
-TEAM = replace(DISCRETE, state_size=5, shared_reward=True)
+BOX_STATE = replace(BOX, state_size=5)
 SETTINGS: dict[str, Any] = {
     "model": ModelConfig(hidden=(7, 6), actor_gain=0.5), "precision": "float64", "epochs": 2,
     "minibatches": 3, "lr": 3e-3, "critic_lr": 1e-3, "lr_end": 0.2, "piece_samples": 40,
@@ -52,7 +48,7 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
         configure(
             "ippo", **{**SETTINGS, "model": ModelConfig((7,), "relu", 0.5)}, kl_coeff=0.2, grad_clip=None
         ),
-        BOX,
+        BOX_STATE,
     ),
     "ippo groups, nothing normalised": (
         configure(
@@ -62,20 +58,20 @@ CASES: dict[str, tuple[AlgoConfig, EnvSpec]] = {
         DISCRETE,
     ),
     "mappo": (configure("mappo", **SETTINGS, policies="independent"), DISCRETE),
-    "mappo box with state, shared": (configure("mappo", **SETTINGS, policies="shared"), BOX),
+    "mappo box with state, shared": (configure("mappo", **SETTINGS, policies="shared"), BOX_STATE),
     "mappo team": (configure("mappo", **SETTINGS, policies="groups", value_clip=0.5), TEAM),
     "ia2c": (configure("ia2c", **SETTINGS), DISCRETE),
-    "ia2c box groups": (configure("ia2c", **SETTINGS, policies="groups"), BOX),
+    "ia2c box groups": (configure("ia2c", **SETTINGS, policies="groups"), BOX_STATE),
     "maa2c team": (configure("maa2c", **SETTINGS), TEAM),
     "itrpo": (configure("itrpo", **TRUST), DISCRETE),
-    "itrpo box": (configure("itrpo", **TRUST), BOX),
+    "itrpo box": (configure("itrpo", **TRUST), BOX_STATE),
     "matrpo team, shared, wide": (
         configure("matrpo", **TRUST, policies="shared", kl_bound=0.3, accept_ratio=0.7),
         TEAM,
     ),
     "happo": (configure("happo", **SETTINGS, kl_coeff=0.2), DISCRETE),
-    "happo box": (configure("happo", **SETTINGS), BOX),
-    "hatrpo groups, box": (configure("hatrpo", **TRUST, policies="groups"), BOX),
+    "happo box": (configure("happo", **SETTINGS), BOX_STATE),
+    "hatrpo groups, box": (configure("hatrpo", **TRUST, policies="groups"), BOX_STATE),
     "hatrpo team": (configure("hatrpo", **TRUST), TEAM),
     "haa2c": (configure("custom", **SETTINGS, critic="central", update="a2c", order="sequential"), DISCRETE),
 }  # fmt: skip
@@ -162,10 +158,8 @@ class Value:
 class Naive:
     """One replica: one agent and one row at a time."""
 
-    def __init__(
-        self, config: AlgoConfig, spec: EnvSpec, seed: int, like: OnPolicyLearner, oracle: Oracle
-    ) -> None:
-        self.config, self.spec, self.seed, self.oracle = config, spec, seed, oracle
+    def __init__(self, config: AlgoConfig, spec: EnvSpec, seed: int, like: OnPolicyLearner) -> None:
+        self.config, self.spec, self.seed = config, spec, seed
         n = spec.num_agents
         groups = {
             "independent": [[i] for i in range(n)],
@@ -271,7 +265,7 @@ class Naive:
                         ]
                     )
                     columns = slice(None) if self.team else slice(n, n + 1)
-                    one = self.oracle(
+                    one = naive_advantages(
                         made.rewards[:, c, n].astype(np.float64), worth, final, terminated, truncated,
                         present, self.config.gamma, self.config.gae_lambda,
                     )  # fmt: skip
@@ -444,19 +438,13 @@ def _assert_same(stacked: StackedMLP, p: int, network: nn.Sequential) -> None:
     ("config", "spec"),
     quick_or_slow(CASES, "ippo box, relu", "mappo team", "itrpo", "haa2c"),
 )
-def test_an_update_equals_the_naive_one(
-    fabricate: Callable[..., Trajectory],
-    poisoned: Callable[[Trajectory], Trajectory],
-    naive_advantages: Oracle,
-    config: AlgoConfig,
-    spec: EnvSpec,
-) -> None:
+def test_an_update_equals_the_naive_one(config: AlgoConfig, spec: EnvSpec) -> None:
     seeds, copies = (4, 8), 2
     learner = OnPolicyLearner(config, spec, seeds, "cpu")
     replicas = []
     for r, seed in enumerate(seeds):
         alone = OnPolicyLearner(config, spec, (seed,), "cpu")
-        replicas.append((r, Naive(config, spec, seed, alone, naive_advantages)))
+        replicas.append((r, Naive(config, spec, seed, alone)))
     for iteration in (1, 2):
         made = fabricate(spec, 8, 2 * copies, seed=iteration, absent=0.2, idle=0.2, leaves=0.03)
         learner.update(poisoned(made), iteration, iteration / 4)

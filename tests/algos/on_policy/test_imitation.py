@@ -1,12 +1,12 @@
 """Policies that imitate a rule's actions."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from learned import assert_equal, joined, tensors
+from made_trajectories import fabricate
 from numpy.typing import NDArray
 
 from headway.contracts import (
@@ -23,7 +23,6 @@ from headway_algos.config import ModelConfig
 from headway_algos.on_policy.warm_start import WarmStartLearner
 from headway_algos.registry import ENTRIES, configure
 
-Fabricate = Callable[..., Trajectory]
 SPEC = EnvSpec("made", ("a", "b"), 3, Discrete(3), state_size=2)
 MASKED = replace(SPEC, has_action_mask=True, agents_come_and_go=True)
 TWO_CHOICES = replace(SPEC, action_space=MultiDiscrete((3, 2)))
@@ -44,9 +43,7 @@ def _rule_actions(spec: EnvSpec, observations: NDArray[np.float32], masks: NDArr
     return np.where(masks if len(masks) else True, scores, -np.inf).argmax(axis=-1)
 
 
-def _played_by_rule(
-    fabricate: Fabricate, spec: EnvSpec, hidden_size: int, seed: int, copies: int
-) -> Trajectory:
+def _played_by_rule(spec: EnvSpec, hidden_size: int, seed: int, copies: int) -> Trajectory:
     """Return a random trajectory, with NaN in rows of absent agents, in which the rule acted."""
     made = fabricate(spec, 64, copies, seed=seed, absent=0.2, idle=0.2, hidden_size=hidden_size)
     made.actions[:] = _rule_actions(spec, made.observations[:-1], made.action_masks[:-1])
@@ -68,7 +65,7 @@ def _played_by_rule(
     ],
 )
 def test_greedy_actions_become_those_of_the_rule(
-    algorithm: str, spec: EnvSpec, settings: dict[str, Any], seeds: tuple[int, ...], fabricate: Fabricate
+    algorithm: str, spec: EnvSpec, settings: dict[str, Any], seeds: tuple[int, ...]
 ) -> None:
     config = configure(algorithm, **{"model": MODEL, **settings})
     learner = ENTRIES[algorithm].learner(config, spec, seeds, "cpu")
@@ -77,7 +74,7 @@ def test_greedy_actions_become_those_of_the_rule(
     hidden_size = policy.hidden_size if isinstance(policy, RecurrentPolicy) else 0
     before = learner.acting_parameters()
     for iteration in range(1, 16):
-        trajectory = _played_by_rule(fabricate, spec, hidden_size, iteration, 8 * len(seeds))
+        trajectory = _played_by_rule(spec, hidden_size, iteration, 8 * len(seeds))
         metrics = learner.imitate(trajectory, iteration, 15)
         assert all(value.shape == (len(seeds),) for value in metrics.values())
     new = fabricate(spec, 32, len(seeds), seed=99)
@@ -99,7 +96,7 @@ def test_greedy_actions_become_those_of_the_rule(
         np.testing.assert_array_equal(learner.acting_parameters()["log_std"], before["log_std"])
 
 
-def _agreement(iterations: int, fabricate: Fabricate) -> float:
+def _agreement(iterations: int) -> float:
     """Return how many greedy actions are the rule's, on observations far from 0, after imitation."""
     config = configure("ippo", model=MODEL)
     learner = ENTRIES["ippo"].learner(config, SPEC, (3,), "cpu")
@@ -118,12 +115,12 @@ def _agreement(iterations: int, fabricate: Fabricate) -> float:
     return float(np.mean([policy.act(parameters, observed[t], None)[0] == expected[t] for t in steps]))
 
 
-def test_one_iteration_is_enough_whatever_the_scale_of_observations(fabricate: Fabricate) -> None:
+def test_one_iteration_is_enough_whatever_the_scale_of_observations() -> None:
     for iterations in (1, 2):
-        assert _agreement(iterations, fabricate) > 0.95
+        assert _agreement(iterations) > 0.95
 
 
-def test_steps_of_recurrent_policies_shrink_towards_the_end(fabricate: Fabricate) -> None:
+def test_steps_of_recurrent_policies_shrink_towards_the_end() -> None:
     """Steps of Adam are proportional to the learning rate."""
     moved = []
     for iteration in (1, 100):
@@ -131,12 +128,12 @@ def test_steps_of_recurrent_policies_shrink_towards_the_end(fabricate: Fabricate
         learner = ENTRIES["ippo"].learner(config, SPEC, (3,), "cpu")
         assert isinstance(learner, StartingLearner)
         before = learner.acting_parameters()["weight_0"].copy()
-        learner.imitate(_played_by_rule(fabricate, SPEC, 8, 1, 2), iteration, 100)
+        learner.imitate(_played_by_rule(SPEC, 8, 1, 2), iteration, 100)
         moved.append(np.abs(learner.acting_parameters()["weight_0"] - before).max())
     assert moved[1] < moved[0] / 20
 
 
-def test_the_critic_learns_the_returns_of_the_rule(fabricate: Fabricate) -> None:
+def test_the_critic_learns_the_returns_of_the_rule() -> None:
     """Every step pays 1 and ends its stream: the return of each is 1."""
     learner = ENTRIES["mappo"].learner(
         configure("mappo", model=MODEL, normalise_values=False), SPEC, (3,), "cpu"
@@ -151,11 +148,11 @@ def test_the_critic_learns_the_returns_of_the_rule(fabricate: Fabricate) -> None
     assert losses[-1] < 0.05
 
 
-def test_actions_that_the_mask_forbids_teach_nothing(fabricate: Fabricate) -> None:
+def test_actions_that_the_mask_forbids_teach_nothing() -> None:
     config = configure("ippo", model=MODEL, normalise_observations=False)
     learner = ENTRIES["ippo"].learner(config, MASKED, (3,), "cpu")
     before = tensors(learner.state_dict()["actor"])
-    trajectory = _played_by_rule(fabricate, MASKED, 0, 1, 8)
+    trajectory = _played_by_rule(MASKED, 0, 1, 8)
     trajectory.action_masks[:] = np.arange(3) != trajectory.actions.max()
     trajectory.actions[:] = trajectory.actions.max()
     learner.imitate(trajectory, 1, 1)
@@ -166,9 +163,7 @@ def test_actions_that_the_mask_forbids_teach_nothing(fabricate: Fabricate) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("policies", "spec"), [("shared", MASKED), ("independent", SPEC), ("shared", BOX)])
-def test_seeds_of_a_stack_imitate_as_each_would_alone(
-    policies: str, spec: EnvSpec, fabricate: Fabricate
-) -> None:
+def test_seeds_of_a_stack_imitate_as_each_would_alone(policies: str, spec: EnvSpec) -> None:
     """Although one has many decisions, one few and one none; all as one learner, as on a GPU."""
     config = configure("ippo", model=MODEL, precision="float64", policies=policies)
     tracks = []
@@ -190,7 +185,7 @@ def test_seeds_of_a_stack_imitate_as_each_would_alone(
         np.testing.assert_allclose(array, np.concatenate(parts), rtol=1e-7, atol=1e-9)
 
 
-def test_choices_that_are_rare_and_come_in_one_part_of_an_episode_are_imitated(fabricate: Fabricate) -> None:
+def test_choices_that_are_rare_and_come_in_one_part_of_an_episode_are_imitated() -> None:
     """The rule takes action 2 in one of 250 decisions, and only the first of ten iterations shows it."""
     config = configure("ippo", model=MODEL)
     learner = ENTRIES["ippo"].learner(config, SPEC, (3,), "cpu")

@@ -4,7 +4,7 @@ That its updates are right, `test_against_naive` shows; that no seed depends on 
 is resumed exactly, `test_per_seed_learner`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 import torch
 from learned import assert_close, assert_equal, of_agents, tensors
+from made_trajectories import BOX, DISCRETE, STATE, TEAM, fabricate, poisoned
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, Trajectory
+from headway.contracts import EnvSpec, HeadwayError, Trajectory
 from headway_algos import components
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch
@@ -31,15 +32,6 @@ from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.updates import Update
 from headway_algos.registry import configure
 
-Fabricate = Callable[..., Trajectory]
-Poison = Callable[[Trajectory], Trajectory]
-
-DISCRETE = EnvSpec(
-    "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
-)
-WITH_STATE = replace(DISCRETE, state_size=5)
-TEAM = replace(WITH_STATE, shared_reward=True)
-BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
 TEAM_BOX = replace(TEAM, action_space=BOX.action_space, has_action_mask=False)
 MODEL = ModelConfig(hidden=(8, 8), actor_gain=0.5)
 SETTINGS: dict[str, Any] = {
@@ -70,7 +62,7 @@ every_case = pytest.mark.parametrize(
         (HAPPO, TEAM),
         (replace(HATRPO, model=RECURRENT, cg_iterations=2), TEAM),
         (configure("custom", **KFAC, critic="central", order="sequential"), TEAM_BOX),
-        (configure("custom", **KFAC, critic="counterfactual"), WITH_STATE),
+        (configure("custom", **KFAC, critic="counterfactual"), STATE),
     ],
 )
 """Every critic, update, order, kind of action and sharing of policies."""
@@ -92,12 +84,12 @@ def _tensors(learner: OnPolicyLearner) -> dict[str, NDArray[Any]]:
 @pytest.mark.parametrize(
     ("config", "spec"),
     [
-        (IPPO, DISCRETE), (MAPPO, WITH_STATE), (IA2C, BOX), (ITRPO, BOX), (MATRPO, WITH_STATE),
+        (IPPO, DISCRETE), (MAPPO, STATE), (IA2C, BOX), (ITRPO, BOX), (MATRPO, STATE),
         (replace(MAACKTR, policies="independent"), DISCRETE),
     ],
 )  # fmt: skip
 def test_an_independent_policy_trains_the_same_alone_and_among_others(
-    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
+    config: AlgoConfig, spec: EnvSpec
 ) -> None:
     among = OnPolicyLearner(config, spec, (5,), "cpu")
     alone = OnPolicyLearner(config, replace(spec, agents=("a",), groups=("x",)), (5,), "cpu")
@@ -111,9 +103,7 @@ def test_an_independent_policy_trains_the_same_alone_and_among_others(
 
 
 @every_case
-def test_poisoned_rows_without_experience_change_nothing(
-    fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
-) -> None:
+def test_poisoned_rows_without_experience_change_nothing(config: AlgoConfig, spec: EnvSpec) -> None:
     clean, bad = (OnPolicyLearner(config, spec, (1, 2), "cpu") for _ in range(2))
     for iteration in range(1, 3):
         made = fabricate(spec, 10, 6, iteration, 0.4, idle=0.3, leaves=0.05, hidden_size=_units(config))
@@ -134,11 +124,7 @@ def test_poisoned_rows_without_experience_change_nothing(
     ],
 )  # fmt: skip
 def test_unused_slots_change_nothing(
-    fabricate: Fabricate,
-    poisoned: Poison,
-    monkeypatch: pytest.MonkeyPatch,
-    config: AlgoConfig,
-    spec: EnvSpec,
+    monkeypatch: pytest.MonkeyPatch, config: AlgoConfig, spec: EnvSpec
 ) -> None:
     """A learner that trims unused slots, a different number per iteration and once all, trains the same as
     one that trims none. One agent appears after the last step, when the others have left: the team's value
@@ -215,9 +201,7 @@ def _each_in_turn(
     return {"gain": gains}
 
 
-def test_critic_update_and_order_are_three_choices(
-    fabricate: Fabricate, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_critic_update_and_order_are_three_choices(monkeypatch: pytest.MonkeyPatch) -> None:
     """A further update and a further order join by name; a plain gradient step of independent policies is the
     same in sequential and simultaneous order."""
     monkeypatch.setitem(UPDATES, "gradient", Component("", AlgoConfig, PlainGradient))
@@ -240,9 +224,7 @@ def test_critic_update_and_order_are_three_choices(
 
 
 @pytest.mark.parametrize("kind", ["critic", "update", "critic_update", "order"])
-def test_components_of_other_packages_train(
-    kind: str, fabricate: Fabricate, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_components_of_other_packages_train(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """One of each kind that does what Headway's own does, under another name, trains the same."""
     own = component(kind, getattr(IPPO, kind))
     point = SimpleNamespace(load=lambda: own, value="elsewhere:component")
@@ -298,7 +280,7 @@ class RewardAbovePar:
         self.par, self.seen = state["par"].numpy(), state["seen"]
 
 
-def test_a_custom_critic_joins_by_name(fabricate: Fabricate, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_custom_critic_joins_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     """The learner uses its advantages and stores its state. A team's advantage is that of all its agents."""
     own: dict[str, Any] = {"critic": "above par"}
     made = [fabricate(TEAM, 6, 4, seed=seed, absent=0.2) for seed in (0, 1)]
@@ -325,9 +307,7 @@ def test_a_custom_critic_joins_by_name(fabricate: Fabricate, monkeypatch: pytest
 
 
 @every_case
-def test_an_iteration_without_live_agents_changes_no_policy(
-    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
-) -> None:
+def test_an_iteration_without_live_agents_changes_no_policy(config: AlgoConfig, spec: EnvSpec) -> None:
     learner = OnPolicyLearner(config, spec, (1,), "cpu")
     learner.update(fabricate(spec, 6, 2, seed=0, hidden_size=_units(config)), 1, 0.0)
     before = _tensors(learner)
@@ -342,7 +322,7 @@ def test_an_iteration_without_live_agents_changes_no_policy(
 
 
 @pytest.mark.parametrize("normalise", [True, False])
-def test_values_are_in_units_of_return(fabricate: Fabricate, normalise: bool) -> None:
+def test_values_are_in_units_of_return(normalise: bool) -> None:
     """The critic learns 50 from a constant reward of 50 at the end of each episode, in either case."""
     steps: dict[str, Any] = {"epochs": 20, "minibatches": 1, "lr": 1e-9, "critic_lr": 0.1}
     config = replace(IPPO, **steps, normalise_values=normalise, value_clip=None, precision="float32")
@@ -368,7 +348,7 @@ def test_missing_and_unknown_devices_are_refused_in_one_line(monkeypatch: pytest
     [("independent", "agent c", BOX), ("groups", "group y", DISCRETE), ("shared", "all agents", DISCRETE)],
 )
 def test_a_policy_that_is_no_longer_finite_is_named(
-    fabricate: Fabricate, policies: Literal["independent", "groups", "shared"], owner: str, spec: EnvSpec
+    policies: Literal["independent", "groups", "shared"], owner: str, spec: EnvSpec
 ) -> None:
     learner = OnPolicyLearner(replace(IPPO, policies=policies), spec, (4, 6), "cpu")
     k = {"independent": 2, "groups": 1, "shared": 0}[policies]
@@ -384,7 +364,7 @@ def test_a_policy_that_is_no_longer_finite_is_named(
 
 
 @pytest.mark.parametrize("spec", [DISCRETE, BOX])
-def test_an_absurd_learning_rate_ends_in_one_line(fabricate: Fabricate, spec: EnvSpec) -> None:
+def test_an_absurd_learning_rate_ends_in_one_line(spec: EnvSpec) -> None:
     config = replace(MAPPO, lr=1e30, precision="float32", normalise_values=False)
     learner = OnPolicyLearner(config, spec, (1,), "cpu")
 
@@ -397,9 +377,7 @@ def test_an_absurd_learning_rate_ends_in_one_line(fabricate: Fabricate, spec: En
 
 
 @pytest.mark.parametrize("config", [IPPO, MATRPO, MAA2C, COMA, MAACKTR])
-def test_a_critic_that_is_no_longer_finite_is_named_whatever_the_update(
-    fabricate: Fabricate, config: AlgoConfig
-) -> None:
+def test_a_critic_that_is_no_longer_finite_is_named_whatever_the_update(config: AlgoConfig) -> None:
     """A trust region would reject every step on its values, and train on without effect."""
     learner = OnPolicyLearner(config, TEAM, (4, 6), "cpu")
     made = fabricate(TEAM, 4, 4, seed=0)

@@ -1,26 +1,16 @@
 """Learning bars: each algorithm comes close to a known optimum within seconds."""
 
-from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import pytest
+from toy_training import mean_return, return_of_rule, share_of_optimum, train_toy
 
-from headway.contracts import Learner
-from headway.events import Row
-from headway.rollout.episodes import evaluate_rule
-from headway.rollout.plan import RolloutPlan
-from headway.rollout.serial_collector import SerialCollector
 from headway_algos.config import AlgoConfig, ModelConfig
-from headway_algos.registry import ENTRIES, configure
+from headway_algos.registry import ENTRIES
 from headway_algos.replay_config import NetworkConfig
-from headway_envs.toy.entry import ENTRIES as TOYS
 
 pytestmark = pytest.mark.slow
 
-SEED = (0,)
-ROOT, EPISODES = 77, 20
-"""Evaluation seeds, the same for learners and rules."""
 CONFIGS = {name: entry.config() for name, entry in ENTRIES.items()}
 ON_POLICY = {
     name: config
@@ -35,58 +25,6 @@ CONTINUOUS = [name for name in ALGORITHMS if name != "coma"]
 UPDATE = {name: config.update for name, config in ON_POLICY.items()}
 IN_TURNS = {name for name, config in ON_POLICY.items() if config.order == "sequential"}
 """Algorithms that need one policy per agent, trained on its own experience only."""
-
-
-def _begun(
-    env: str,
-    env_args: Mapping[str, Any],
-    algorithm: str,
-    settings: Mapping[str, Any],
-    batch: tuple[int, int],
-) -> tuple[SerialCollector, Learner]:
-    copies, steps = batch
-    toy, entry = TOYS[env], ENTRIES[algorithm]
-    prepared = toy.prepare(toy.config(**env_args))
-    spec, config = toy.make(prepared, 1).spec.for_policies, configure(algorithm, **settings)
-    policy = entry.acting_policy(config, spec)
-    plan = RolloutPlan(toy.make, (), prepared, spec, policy, SEED, copies, steps, copies)
-    collector = SerialCollector(plan)
-    collector.begin()
-    return collector, entry.learner(config, spec, SEED, "cpu")
-
-
-def _train(
-    env: str,
-    env_args: Mapping[str, Any],
-    algorithm: str,
-    settings: Mapping[str, Any],
-    batch: tuple[int, int, int],
-) -> list[Row]:
-    """Greedy evaluation episodes after training on `batch` = copies, steps, iterations."""
-    copies, steps, iterations = batch
-    collector, learner = _begun(env, env_args, algorithm, settings, (copies, steps))
-    for iteration in range(1, iterations + 1):
-        collector.collect(iteration, learner.acting_parameters())
-        learner.update(collector.trajectory, iteration, (iteration - 1) / iterations)
-    [evaluated] = collector.evaluate(ROOT, EPISODES, True, learner.acting_parameters())
-    collector.close()
-    return evaluated
-
-
-def _mean_return(rows: list[Row]) -> float:
-    return float(np.mean([float(row["return"]) for row in rows]))
-
-
-def _rule(env: str, env_args: Mapping[str, Any], name: str) -> float:
-    toy = TOYS[env]
-    prepared = toy.prepare(toy.config(**env_args))
-    return _mean_return(evaluate_rule(toy.make, toy.rules[name].make, prepared, ROOT, EPISODES))
-
-
-def _share(env: str, env_args: Mapping[str, Any], evaluated: list[Row]) -> float:
-    """How far the mean return lies on the way from random to optimal play."""
-    random, best = (_rule(env, env_args, name) for name in ("random", "optimal"))
-    return (_mean_return(evaluated) - random) / (best - random)
 
 
 MATRIX_SETTINGS = {
@@ -109,8 +47,8 @@ def test_climbing_game_is_played_at_its_safe_equilibrium(algorithm: str) -> None
     reaches 7 through 5 and 6 (Claus and Boutilier 1998). The entropy bonus prevents stopping at 6."""
     changes, iterations = CLIMBING[UPDATE[algorithm]]
     settings = {**MATRIX_SETTINGS, **changes}
-    evaluated = _train("matrix", {}, algorithm, settings, (16, 16, iterations))
-    assert _mean_return(evaluated) == 7.0
+    evaluated = train_toy("matrix", {}, algorithm, settings, (16, 16, iterations))
+    assert mean_return(evaluated) == 7.0
 
 
 @pytest.mark.parametrize("algorithm", CONTINUOUS)
@@ -138,10 +76,10 @@ def test_tracking_costs_little_more_than_the_linear_quadratic_regulator(algorith
     if UPDATE[algorithm] == "kfac":
         settings, iterations = {**settings, **NATURAL_LR, "minibatches": 1, "kl_bound": 0.03}, 60
     episode = {"steps": 20}
-    evaluated = _train("tracking", episode, algorithm, settings, (8, 40, iterations))
-    best = _rule("tracking", episode, "optimal")
-    assert _mean_return(evaluated) > (2.0 if in_turns else 1.6) * best
-    assert _mean_return(_train("tracking", episode, algorithm, settings, (8, 40, 1))) < 100 * best
+    evaluated = train_toy("tracking", episode, algorithm, settings, (8, 40, iterations))
+    best = return_of_rule("tracking", episode, "optimal")
+    assert mean_return(evaluated) > (2.0 if in_turns else 1.6) * best
+    assert mean_return(train_toy("tracking", episode, algorithm, settings, (8, 40, 1))) < 100 * best
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -156,8 +94,8 @@ def test_visitors_are_nearly_optimal_and_never_choose_forbidden_options(algorith
         settings |= NATURAL_LR
     if algorithm in IN_TURNS:
         settings, iterations = {**settings, "policies": "independent", "lr": 2e-3, "epochs": 3}, 20
-    evaluated = _train("visitors", {}, algorithm, settings, (4, 64, iterations))
-    assert _share("visitors", {}, evaluated) > (0.88 if algorithm in IN_TURNS else 0.96)
+    evaluated = train_toy("visitors", {}, algorithm, settings, (4, 64, iterations))
+    assert share_of_optimum("visitors", {}, evaluated) > (0.88 if algorithm in IN_TURNS else 0.96)
     assert all(row["disallowed"] == 0 for row in evaluated)
 
 
@@ -174,7 +112,7 @@ CUED = {"agents": 2, "steps": 4}
 def _recalled(algorithm: str, model: ModelConfig) -> float:
     settings, iterations = RECALL[algorithm]
     chosen = {**settings, "policies": "independent", "model": model}
-    return _mean_return(_train("recall", CUED, algorithm, chosen, (16, 24, iterations)))
+    return mean_return(train_toy("recall", CUED, algorithm, chosen, (16, 24, iterations)))
 
 
 @pytest.mark.parametrize("algorithm", RECALL)
@@ -196,8 +134,8 @@ def test_counterfactual_credit_finds_each_agents_part_in_a_teams_reward() -> Non
         "critic": "counterfactual", "policies": "shared", "agent_id": False, "gamma": 0.5, "gae_lambda": 0.5,
         "lr": 3e-3,
     }  # fmt: skip
-    evaluated = _train("trivial", team, "custom", settings, (4, 50, 15))
-    assert _share("trivial", team, evaluated) > 0.75
+    evaluated = train_toy("trivial", team, "custom", settings, (4, 50, 15))
+    assert share_of_optimum("trivial", team, evaluated) > 0.75
 
 
 def test_q_learning_plays_matrix_without_a_trap_at_its_optimum() -> None:
@@ -206,8 +144,8 @@ def test_q_learning_plays_matrix_without_a_trap_at_its_optimum() -> None:
     settings = {
         "policies": "independent", "lr": 5e-2, "updates": 8, "batch_size": 32, "learning_starts": 64,
     }  # fmt: skip
-    evaluated = _train("matrix", game, "madqn", settings, (8, 8, 30))
-    assert _mean_return(evaluated) == 11.0
+    evaluated = train_toy("matrix", game, "madqn", settings, (8, 8, 30))
+    assert mean_return(evaluated) == 11.0
 
 
 REPLAYED = {
@@ -221,8 +159,8 @@ def test_q_learning_of_visitors_is_nearly_optimal(double: bool) -> None:
     """With agents that come and go, training closes at least 0.94 of the gap between random and
     optimal play."""
     settings = {**REPLAYED, "gamma": 0.9, "double": double}
-    evaluated = _train("visitors", {}, "madqn", settings, (4, 32, 20))
-    assert _share("visitors", {}, evaluated) > 0.94
+    evaluated = train_toy("visitors", {}, "madqn", settings, (4, 32, 20))
+    assert share_of_optimum("visitors", {}, evaluated) > 0.94
     assert all(row["disallowed"] == 0 for row in evaluated)
 
 
@@ -232,8 +170,8 @@ def test_q_learning_of_trivial_comes_near_its_optimum(n_step: int) -> None:
     play."""
     team = {"agents": 3, "steps": 50}
     settings = {**REPLAYED, "gamma": 0.5, "n_step": n_step}
-    evaluated = _train("trivial", team, "madqn", settings, (4, 50, 20))
-    assert _share("trivial", team, evaluated) > 0.85
+    evaluated = train_toy("trivial", team, "madqn", settings, (4, 50, 20))
+    assert share_of_optimum("trivial", team, evaluated) > 0.85
 
 
 def test_deterministic_policies_track_at_little_more_than_the_optimal_cost() -> None:
@@ -247,6 +185,6 @@ def test_deterministic_policies_track_at_little_more_than_the_optimal_cost() -> 
         "normalise_rewards": False,
     }  # fmt: skip
     episode = {"steps": 20}
-    best = _rule("tracking", episode, "optimal")
-    assert _mean_return(_train("tracking", episode, "ddpg", settings, (8, 20, 45))) > 4 * best
-    assert _mean_return(_train("tracking", episode, "ddpg", settings, (8, 20, 1))) < 100 * best
+    best = return_of_rule("tracking", episode, "optimal")
+    assert mean_return(train_toy("tracking", episode, "ddpg", settings, (8, 20, 45))) > 4 * best
+    assert mean_return(train_toy("tracking", episode, "ddpg", settings, (8, 20, 1))) < 100 * best

@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
+from policy_rows import DOUBLE, A, D, random_rows
 from torch import Tensor
 
 from headway.contracts import Box, Discrete, EnvSpec, generator
@@ -23,8 +23,7 @@ from headway_algos.on_policy.updates.kl_penalty import KLPenalty
 from headway_algos.on_policy.updates.losses import PPOLoss
 from headway_algos.registry import configure
 
-R, N, B, D, A = 2, 4, 18, 3, 3
-DOUBLE = torch.float64
+R, N, B = 2, 4, 18
 DISCRETE = EnvSpec("made", tuple("abcd"), D, Discrete(A))
 APART = Grouping.of("independent", DISCRETE)
 BOX = replace(DISCRETE, action_space=Box((-1.0,) * A, (1.0,) * A))
@@ -66,20 +65,6 @@ def _update(kind: type[GradientUpdate], spec: EnvSpec, config: AlgoConfig = CONF
     return kind(actor, config, layout, loss, config.epochs, config.minibatches, penalty)
 
 
-def _rows(spec: EnvSpec) -> tuple[PolicyBatch, Tensor, NDArray[np.bool_]]:
-    random = torch.Generator().manual_seed(1)
-    actions = (
-        torch.randint(A, (R * N, B), generator=random)
-        if spec is DISCRETE
-        else torch.randn(R * N, B, A, generator=random, dtype=DOUBLE)
-    )
-    selected = (torch.rand(R * N, B, generator=random) < 0.7).numpy()
-    observations = torch.randn(R * N, B, D, generator=random, dtype=DOUBLE)
-    log_probs, advantages = torch.randn(2, R * N, B, generator=random, dtype=DOUBLE)
-    log_probs[~torch.from_numpy(selected)] = 0
-    return PolicyBatch(observations, None, actions, log_probs, selected), advantages, selected
-
-
 def _generators(purpose: str, count: int) -> list[np.random.Generator]:
     return [generator(i, purpose, 5) for i in range(count)]
 
@@ -90,7 +75,7 @@ def test_advantages_are_weighted_by_the_ratios_of_agents_updated_before(spec: En
     update = _update(Recording, spec)
     assert isinstance(update, Recording)
     update.turns = []
-    rows, advantages, selected = _rows(spec)
+    rows, advantages = random_rows(spec, R * N, B)
     info = sequential(update, APART, rows, advantages, _generators("rows", R * N), _generators("order", R))
     assert len(update.turns) == N
     for r, random in enumerate(_generators("order", R)):
@@ -100,7 +85,7 @@ def test_advantages_are_weighted_by_the_ratios_of_agents_updated_before(spec: En
             for b in range(B):
                 factor = 1.0
                 for before, (_, _, log_probs) in zip(order[:m], update.turns, strict=False):
-                    if selected[before, b]:
+                    if rows.selected[before, b]:
                         factor *= float((log_probs[r, b] - rows.log_probs[before, b]).exp())
                 assert float(given[r, b]) == pytest.approx(factor * float(advantages[order[m], b]), rel=1e-10)
     assert info["policy"].tolist() == list(range(R * N))
@@ -108,7 +93,7 @@ def test_advantages_are_weighted_by_the_ratios_of_agents_updated_before(spec: En
 
 def test_the_state_of_an_update_is_adopted_from_its_part() -> None:
     """Moments and coefficients after two updates are as if each policy had its own update."""
-    rows, advantages, _ = _rows(DISCRETE)
+    rows, advantages = random_rows(DISCRETE, R * N, B)
     config = replace(CONFIG, kl_coeff=0.3)
     whole, parts = _update(GradientUpdate, DISCRETE, config), _update(GradientUpdate, DISCRETE, config)
     for _ in range(2):
@@ -139,7 +124,7 @@ def test_a_part_is_a_copy_until_it_is_adopted(update: Any) -> None:  # noqa: ANN
     config = configure("custom", update=update, **shared, **({"lr": 2e-2} if update != "trpo" else {}))
     layout = Layout(APART, R, torch.device("cpu"), DOUBLE)
     whole = UPDATES[update].make(Actor(config.model, DISCRETE, range(R), N, DOUBLE), config, layout)
-    rows, advantages, _ = _rows(DISCRETE)
+    rows, advantages = random_rows(DISCRETE, R * N, B)
     before = [parameter.detach().clone() for parameter in whole.actor.parameters()]
     policies = torch.tensor([6, 1])
     part = whole.narrow(policies)

@@ -1,7 +1,6 @@
 """A seed trains the same in any stack: bit for bit with on-policy algorithms, whatever the rounding;
 with `madqn` and `ddpg` if products of a stack round like single ones. Training is resumed exactly."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -9,23 +8,17 @@ import numpy as np
 import pytest
 from covering import quick_or_slow
 from learned import assert_close, assert_equal, joined, reloaded, tensors
+from made_trajectories import BOX, DISCRETE, TEAM, fabricate
 from numpy.typing import NDArray
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from headway.config.schema import build
-from headway.contracts import Box, Discrete, EnvSpec, Learner, LearnerWithReplay, Trajectory
+from headway.contracts import EnvSpec, Learner, LearnerWithReplay, Trajectory
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.split_learner import SplitLearner
 from headway_algos.registry import ENTRIES
 
-Fabricate = Callable[..., Trajectory]
 SEEDS = (3, 5, 7)
-DISCRETE = EnvSpec(
-    "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True,
-    agents_come_and_go=True, snapshots=True,
-)  # fmt: skip
-TEAM = replace(DISCRETE, state_size=5, shared_reward=True)
-BOX = replace(DISCRETE, action_space=Box((-1.0, -1.0), (1.0, 1.0)), has_action_mask=False)
 SMALL: dict[str, Any] = {"policies": "independent", "model": {"hidden": (8, 8)}, "lr_end": 0.1}
 GATED: dict[str, Any] = {"model": {"hidden": (8,), "core": "gru", "gru_size": 4}}
 # So small that every batch is cut into several pieces.
@@ -50,9 +43,9 @@ CASES: dict[str, tuple[str, dict[str, Any], EnvSpec]] = {
     "hatrpo, recurrent": ("hatrpo", {**ON_POLICY, **GATED, "cg_iterations": 2}, TEAM),
     "maacktr": ("maacktr", {**ON_POLICY, "policies": "shared"}, DISCRETE),
     "k-fac in turns": ("custom", {**ON_POLICY, **KFAC, "order": "sequential"}, TEAM),
-    "madqn": ("madqn", {**REPLAY, "n_step": 3}, DISCRETE),
-    "madqn, shared": ("madqn", {**REPLAY, "policies": "shared"}, DISCRETE),
-    "ddpg": ("ddpg", {**REPLAY, "policies": "groups"}, BOX),
+    "madqn": ("madqn", {**REPLAY, "n_step": 3}, replace(DISCRETE, snapshots=True)),
+    "madqn, shared": ("madqn", {**REPLAY, "policies": "shared"}, replace(DISCRETE, snapshots=True)),
+    "ddpg": ("ddpg", {**REPLAY, "policies": "groups"}, replace(BOX, snapshots=True)),
 }
 QUICK = ("ippo, shared until half", "coma")
 every_case = pytest.mark.parametrize(
@@ -94,9 +87,7 @@ def _learner(name: str, settings: dict[str, Any], spec: EnvSpec, seeds: tuple[in
     return entry.learner(build(entry.record_for(settings), settings, "algo", name), spec, seeds, "cpu")
 
 
-def _experience(
-    fabricate: Fabricate, spec: EnvSpec, iteration: int, settings: dict[str, Any]
-) -> list[Trajectory]:
+def _experience(spec: EnvSpec, iteration: int, settings: dict[str, Any]) -> list[Trajectory]:
     """One trajectory per seed: with all, few and hardly any agents alive."""
     memory = settings["model"].get("gru_size", 0)
     return [
@@ -116,10 +107,8 @@ def _trained(
 
 
 @every_case
-def test_a_seed_learns_the_same_in_any_stack(
-    fabricate: Fabricate, name: str, settings: dict[str, Any], spec: EnvSpec
-) -> None:
-    tracks = [_experience(fabricate, spec, iteration, settings) for iteration in (1, 2)]
+def test_a_seed_learns_the_same_in_any_stack(name: str, settings: dict[str, Any], spec: EnvSpec) -> None:
+    tracks = [_experience(spec, iteration, settings) for iteration in (1, 2)]
     with RoundsByShape(batch=name not in ("madqn", "ddpg")):
         stacked = _learner(name, settings, spec, SEEDS)
         whole, of_all = _trained(stacked, [joined(track) for track in tracks], done=1)
@@ -131,13 +120,13 @@ def test_a_seed_learns_the_same_in_any_stack(
 
 
 @pytest.mark.parametrize("name", ["itrpo", "maacktr"])
-def test_products_over_several_seeds_would_be_detected(fabricate: Fabricate, name: str) -> None:
+def test_products_over_several_seeds_would_be_detected(name: str) -> None:
     """A learner that stacks seeds, as on a GPU, differs from one seed alone, so the test of stacks can fail.
 
     Only natural gradients use products of torch, which may depend on the stack.
     """
     settings = CASES[name][1]
-    tracks = [_experience(fabricate, DISCRETE, iteration, settings) for iteration in (1, 2)]
+    tracks = [_experience(DISCRETE, iteration, settings) for iteration in (1, 2)]
     config = build(ENTRIES[name].config, settings, "algo", name)
     with RoundsByShape(batch=False):
         whole, _ = _trained(
@@ -149,12 +138,12 @@ def test_products_over_several_seeds_would_be_detected(fabricate: Fabricate, nam
 
 @every_case
 def test_training_resumed_from_a_checkpoint_is_exact(
-    fabricate: Fabricate, name: str, settings: dict[str, Any], spec: EnvSpec
+    name: str, settings: dict[str, Any], spec: EnvSpec
 ) -> None:
     """Checkpoints are from before and after the split of a shared policy, with hidden states and whole replay
     buffers."""
     first, second = (_learner(name, settings, spec, SEEDS) for _ in range(2))
-    tracks = [joined(_experience(fabricate, spec, iteration, settings)) for iteration in (1, 2, 3, 4)]
+    tracks = [joined(_experience(spec, iteration, settings)) for iteration in (1, 2, 3, 4)]
     _trained(first, tracks[:2])
     second.load_state_dict(reloaded(first.state_dict()))
     if isinstance(first, LearnerWithReplay) and isinstance(second, LearnerWithReplay):
@@ -170,7 +159,7 @@ def test_training_resumed_from_a_checkpoint_is_exact(
 
 @on_policy_case
 def test_separate_learners_continue_from_the_state_of_a_learner_that_stacks_seeds(
-    fabricate: Fabricate, name: str, settings: dict[str, Any], spec: EnvSpec
+    name: str, settings: dict[str, Any], spec: EnvSpec
 ) -> None:
     """The state is that of a run started on a GPU, or of a version that did not separate seeds; one seed has
     many rows, another hardly any."""
@@ -178,7 +167,7 @@ def test_separate_learners_continue_from_the_state_of_a_learner_that_stacks_seed
     config = build(ENTRIES[name].record_for(chosen), chosen, "algo", name)
     stacked = (SplitLearner if "shared_until" in settings else OnPolicyLearner)(config, spec, SEEDS, "cpu")
     apart = ENTRIES[name].learner(config, spec, SEEDS, "cpu")
-    tracks = [joined(_experience(fabricate, spec, iteration, settings)) for iteration in (1, 2, 3)]
+    tracks = [joined(_experience(spec, iteration, settings)) for iteration in (1, 2, 3)]
     _trained(stacked, tracks[:2])
     apart.load_state_dict(stacked.state_dict())
     (expected, metrics), (got, same) = (_trained(learner, tracks[2:], done=2) for learner in (stacked, apart))
@@ -186,11 +175,11 @@ def test_separate_learners_continue_from_the_state_of_a_learner_that_stacks_seed
     assert_close(same, metrics, rtol=1e-7, atol=1e-9)
 
 
-def test_tensors_are_not_shared_with_the_state(fabricate: Fabricate) -> None:
+def test_tensors_are_not_shared_with_the_state() -> None:
     learner = _learner("ippo", STEPS, DISCRETE, SEEDS)
     before = learner.state_dict()
     kept = tensors(before)
     other = _learner("ippo", STEPS, DISCRETE, SEEDS)
     other.load_state_dict(before)
-    other.update(joined(_experience(fabricate, DISCRETE, 1, STEPS)), 1, 0.0)
+    other.update(joined(_experience(DISCRETE, 1, STEPS)), 1, 0.0)
     assert_equal(tensors(before), kept)

@@ -1,20 +1,19 @@
 """A shared policy that is split into separate ones during training."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from made_trajectories import fabricate
 from numpy.typing import NDArray
 
-from headway.contracts import Discrete, EnvSpec, Trajectory
+from headway.contracts import Discrete, EnvSpec
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.split_learner import SplitLearner
-from headway_algos.registry import ENTRIES, configure
+from headway_algos.registry import configure
 
-Fabricate = Callable[..., Trajectory]
 SPEC = EnvSpec(
     "made", tuple("abcd"), 3, Discrete(3), state_size=5, groups=tuple("xyxx"), has_action_mask=True
 )
@@ -34,9 +33,7 @@ def _same(one: dict[str, NDArray[np.float64]], other: dict[str, NDArray[np.float
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_policies_equal_the_shared_one_until_the_split_and_start_from_it(
-    name: str, fabricate: Fabricate
-) -> None:
+def test_policies_equal_the_shared_one_until_the_split_and_start_from_it(name: str) -> None:
     config, spec = CASES[name]
     parting = SplitLearner(replace(config, shared_until=0.5), spec, SEEDS, "cpu")
     shared = OnPolicyLearner(replace(config, policies="shared", agent_id=False), spec, SEEDS, "cpu")
@@ -58,7 +55,7 @@ def test_policies_equal_the_shared_one_until_the_split_and_start_from_it(
     assert all(value.shape == (len(SEEDS),) for value in metrics.values())
 
 
-def test_the_optimiser_keeps_the_moments_of_the_shared_policy(fabricate: Fabricate) -> None:
+def test_the_optimiser_keeps_the_moments_of_the_shared_policy() -> None:
     config, spec = CASES["ippo"]
     learner = SplitLearner(replace(config, shared_until=0.5), spec, SEEDS, "cpu")
     learner.update(fabricate(spec, 20, 2 * len(SEEDS), seed=0), 0, 0.0)
@@ -70,7 +67,7 @@ def test_the_optimiser_keeps_the_moments_of_the_shared_policy(fabricate: Fabrica
 
 
 @pytest.mark.parametrize("update", ["ppo", "a2c", "trpo"])
-def test_steps_are_smaller_after_the_split(update: str, fabricate: Fabricate) -> None:
+def test_steps_are_smaller_after_the_split(update: str) -> None:
     """A hundredth of the learning rate: steps of Adam and TRPO are proportional to it."""
 
     def step_apart(apart_lr: float) -> float:
@@ -101,10 +98,3 @@ def test_steps_are_smaller_after_the_split(update: str, fabricate: Fabricate) ->
 def test_impossible_splits_are_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         configure("custom", **changes)  # type: ignore[arg-type]  # as from YAML
-
-
-def test_the_registry_makes_a_split_learner() -> None:
-    config = configure("ippo", model=MODEL, shared_until=0.5)
-    assert isinstance(ENTRIES["ippo"].learner(config, SPEC, SEEDS[:1], "cpu"), SplitLearner)
-    plain = replace(config, shared_until=0.0)
-    assert isinstance(ENTRIES["ippo"].learner(plain, SPEC, SEEDS[:1], "cpu"), OnPolicyLearner)

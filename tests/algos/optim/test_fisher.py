@@ -15,7 +15,6 @@ from headway_algos.batches.whole_batch import WholeBatch
 from headway_algos.config import ModelConfig
 from headway_algos.kernels.perceptron import ROWS
 from headway_algos.networks.actor import Actor
-from headway_algos.networks.distributions import DiagonalGaussian, MaskedCategorical
 from headway_algos.networks.linearised import LinearisedMLP
 from headway_algos.optim.fisher import (
     compiled_gauss_newton,
@@ -192,35 +191,3 @@ def test_jvp_and_vjp_equal_the_jacobian(hidden: tuple[int, ...], activation: str
     for mine, theirs in zip(linear.vjp(signal), expected, strict=True):
         torch.testing.assert_close(mine, theirs, rtol=1e-12, atol=1e-12)
     torch.testing.assert_close(linear.outputs, network(rows).detach(), rtol=0, atol=0)
-
-
-@pytest.mark.parametrize("kind", ["categorical", "masked", "gaussian"])
-def test_information_in_the_outputs_is_the_hessian_of_the_kl_divergence(kind: str) -> None:
-    """Hessian of KL(old || new) in new at old, by torch.distributions."""
-    random = torch.Generator().manual_seed(7)
-    outputs, direction = (torch.randn(1, A, 1, generator=random, dtype=DOUBLE) for _ in range(2))
-    log_std = torch.randn(1, A, 1, generator=random, dtype=DOUBLE)
-    masks = torch.tensor([[[True, False, True, True]]]) if kind == "masked" else None
-
-    def distribution(values: Tensor) -> MaskedCategorical | DiagonalGaussian:
-        if kind == "gaussian":
-            return DiagonalGaussian(values, log_std)
-        return MaskedCategorical.of_logits(values, masks)
-
-    old = distribution(outputs)
-    hessian = torch.autograd.functional.hessian(
-        lambda values: distribution(values).kl_from(old).sum(),  # type: ignore[arg-type]  # both of one kind
-        outputs,
-    )
-    expected = hessian.reshape(A, A) @ direction.ravel()
-    torch.testing.assert_close(old.fisher_of_outputs(direction).ravel(), expected, rtol=1e-10, atol=1e-10)
-
-
-def test_information_in_a_log_standard_deviation_is_two() -> None:
-    mean, log_std = torch.zeros(1, A, 1, dtype=DOUBLE), torch.full((1, A, 1), 0.3, dtype=DOUBLE)
-    old = DiagonalGaussian(mean, log_std)
-    hessian = torch.autograd.functional.hessian(
-        lambda value: DiagonalGaussian(mean, value).kl_from(old).sum(), log_std
-    )
-    expected = DiagonalGaussian.LOG_STD_FISHER * torch.eye(A, dtype=DOUBLE)
-    torch.testing.assert_close(hessian.reshape(A, A), expected, rtol=1e-12, atol=1e-12)

@@ -1,21 +1,18 @@
 """Environments with MultiDiscrete actions: masks by choice, random play, learning to a known optimum."""
 
 import math
-from contextlib import closing
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from dials import CHOICES, ENTRY, DialsConfig
+from toy_training import mean_return, train
 
 from headway.adapters.conformance import CHECKS, play
 from headway.contracts import BatchedEnv, MultiDiscrete, RandomRule
 from headway.rollout.episodes import evaluate_rule
-from headway.rollout.plan import RolloutPlan
-from headway.rollout.serial_collector import SerialCollector
 from headway_algos.config import ModelConfig
-from headway_algos.registry import ENTRIES
 from headway_envs.api import from_batched
 
 STEPS = DialsConfig().steps
@@ -64,22 +61,9 @@ def test_random_play_draws_allowed_options_uniformly() -> None:
 )
 def test_every_update_learns_both_choices(algorithm: str, settings: dict[str, Any], core: str) -> None:
     """The return is at least 0.95 of the optimum, where random play has a quarter."""
-    entry, seeds, iterations = ENTRIES[algorithm], (0,), 12
-    config = entry.config(**{
+    chosen = {
         "model": ModelConfig(hidden=(16,), core=core, **({"gru_size": 8} if core == "gru" else {})),
         "policies": "shared", "lr": 1e-2,
         "gamma": 0.5, "minibatches": 2 if algorithm.endswith("ppo") else 1, **settings,
-    })  # fmt: skip
-    with closing(dials(None, 1)) as env:
-        spec = env.spec.for_policies
-    policy = entry.acting_policy(config, spec)
-    collector = SerialCollector(RolloutPlan(dials, (), None, spec, policy, seeds, 8, 32, 8))
-    learner = entry.learner(config, spec, seeds, "cpu")
-    collector.begin()
-    for iteration in range(1, iterations + 1):
-        collector.collect(iteration, learner.acting_parameters())
-        learner.update(collector.trajectory, iteration, (iteration - 1) / iterations)
-    evaluated = collector.evaluate(77, 10, True, learner.acting_parameters())
-    collector.close()
-    returns = [float(np.mean([float(row["return"]) for row in rows])) for rows in evaluated]
-    assert min(returns) > 0.95 * STEPS
+    }  # fmt: skip
+    assert mean_return(train(dials, None, algorithm, chosen, (8, 32, 12))) > 0.95 * STEPS

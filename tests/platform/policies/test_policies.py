@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from kept_policies import keep_made, keep_run_on
+from made_observations import AGENTS, SIZE, drawn, repeated, spec_with
 from numpy.typing import NDArray
 
 from headway.api import Policy, load_policy
@@ -22,7 +23,6 @@ from headway.contracts import (
     ActionSpace,
     Box,
     Discrete,
-    EnvSpec,
     HeadwayError,
     MultiDiscrete,
     ObservationFeature,
@@ -37,7 +37,7 @@ from headway.policies.stored_spec import spec_json, spec_of
 from headway.policies.trained_run import TrainedRun
 from headway_algos.config import ModelConfig
 
-AGENTS, COPIES, SIZE = 5, 40, 3
+COPIES = 40
 GRU = ModelConfig(hidden=(6,), core="gru", gru_size=4)
 RELU = ModelConfig(hidden=(8, 7), activation="relu")
 BOX = Box((-1.0, -2.0, 0.0), (1.0, 6.0, float("inf")))
@@ -56,29 +56,10 @@ KINDS: dict[str, tuple[str, ActionSpace, dict[str, Any]]] = {
 Kept = tuple[Path, TrainedRun]
 
 
-def spec_with(space: ActionSpace) -> EnvSpec:
-    return EnvSpec(
-        "made", tuple(f"a{i}" for i in range(AGENTS)), SIZE, space,
-        groups=("x", "y", "x", "z", "x"), has_action_mask=not isinstance(space, Box),
-    )  # fmt: skip
-
-
 def kept(root: Path, kind: str) -> Kept:
     algorithm, space, settings = KINDS[kind]
     folder = keep_made(root, algorithm, spec_with(space), **settings)[0]
     return folder, TrainedRun.read(folder)
-
-
-def observed(space: ActionSpace) -> Observations:
-    draw = np.random.default_rng(0)
-    masks = None
-    if not isinstance(space, Box):
-        options = (space.n,) if isinstance(space, Discrete) else space.nvec
-        masks = draw.random((COPIES, AGENTS, sum(options))) < 0.6
-        for last in np.cumsum(options) - 1:
-            masks[..., last] = True
-    rows = (3 * draw.standard_normal((COPIES, AGENTS, SIZE))).astype(np.float32)
-    return Observations(rows, np.zeros((COPIES, 0), np.float32), np.ones((COPIES, AGENTS), np.bool_), masks)
 
 
 def of_worker(run: TrainedRun, seen: Observations, state: NDArray[Any] | None) -> NDArray[Any]:
@@ -110,7 +91,7 @@ def test_acts_as_the_rollout_worker(kind: str, form: str, tmp_path: Path) -> Non
         source.write_bytes(policy_bytes(form, run.description, run.arrays))
     policy = load_policy(source) if form == "folder" else read_policy(source)
     space = run.spec.action_space
-    seen, state = observed(space), None
+    seen, state = drawn(space, COPIES), None
     assert (policy.agents, policy.action_space, policy.observation_size) == (run.spec.agents, space, SIZE)
     for _ in range(3):
         before = np.zeros((COPIES, AGENTS, policy.hidden_size), np.float32) if state is None else state
@@ -127,7 +108,7 @@ def test_a_small_difference_is_found(name: str, tmp_path: Path) -> None:
     _, run = kept(tmp_path, "recurrent")
     arrays = {**run.arrays, name: run.arrays[name] + np.float32(1e-3)}
     (tmp_path / "policy.npz").write_bytes(policy_bytes("npz", run.description, arrays))
-    policy, seen = load_policy(tmp_path / "policy.npz"), observed(run.spec.action_space)
+    policy, seen = load_policy(tmp_path / "policy.npz"), drawn(run.spec.action_space, COPIES)
     state = np.full((COPIES, AGENTS, 4), 0.3, np.float32)
     with pytest.raises(HeadwayError, match="differs from the rollout workers'"):
         require_parity(policy, run.acting, run.parameters, seen, state)
@@ -136,15 +117,10 @@ def test_a_small_difference_is_found(name: str, tmp_path: Path) -> None:
 def test_discrete_actions_are_drawn_from_the_workers_distribution(tmp_path: Path) -> None:
     folder, run = kept(tmp_path, "shared with indices")
     draws = 20_000
-    one = observed(run.spec.action_space)
-    rows, masks = one.observations[:1], one.action_masks
-    assert masks is not None
-    many = np.repeat(rows, draws, axis=0), np.repeat(masks[:1], draws, axis=0)
-    actions, _ = load_policy(folder).act(*many, deterministic=False, generator=np.random.default_rng(5))
+    seen = repeated(drawn(run.spec.action_space, 1), draws)
+    policy, random = load_policy(folder), np.random.default_rng(5)
+    actions, _ = policy.act(seen.observations, seen.action_masks, deterministic=False, generator=random)
     # The worker's probability of an action: that with which it takes it if its inverse is drawn.
-    seen = Observations(
-        many[0], np.zeros((draws, 0), np.float32), np.ones((draws, AGENTS), np.bool_), many[1]
-    )
     uniforms = np.repeat(np.linspace(0, 1, draws, endpoint=False)[:, None], AGENTS, axis=1)
     expected, log_probs = run.acting.act(run.parameters, seen, uniforms)
     for agent in range(AGENTS):
@@ -158,17 +134,18 @@ def test_discrete_actions_are_drawn_from_the_workers_distribution(tmp_path: Path
 def test_box_actions_are_drawn_around_the_mean_and_clipped(tmp_path: Path) -> None:
     folder, run = kept(tmp_path, "box")
     policy, draws = load_policy(folder), 20_000
-    rows = np.repeat(observed(run.spec.action_space).observations[:1], draws, axis=0)
-    actions, _ = policy.act(rows, deterministic=False, generator=np.random.default_rng(5))
+    one = drawn(BOX, 1)
+    actions, _ = policy.act(
+        repeated(one, draws).observations, deterministic=False, generator=np.random.default_rng(5)
+    )
     low, high = np.array(BOX.low), np.array(BOX.high)
     assert (actions >= low).all()
     assert (actions <= high).all()
     # The second component is scaled to [-2, 6]: four times a Gaussian about the mean, shifted by 2.
-    seen = replace(observed(BOX), observations=rows[:1], alive=np.ones((1, AGENTS), np.bool_))
-    mean = run.acting.act(run.parameters, seen, None)[0][0, :, 1].astype(float)
+    mean = run.acting.act(run.parameters, one, None)[0][0, :, 1].astype(float)
     deviation = np.exp(run.parameters["log_std"][:, 1, 0].astype(float))
-    drawn = mean + deviation * np.random.default_rng(6).standard_normal((draws, AGENTS))
-    expected = np.clip(2 + 4 * drawn, -2, 6)
+    around = mean + deviation * np.random.default_rng(6).standard_normal((draws, AGENTS))
+    expected = np.clip(2 + 4 * around, -2, 6)
     np.testing.assert_allclose(actions[..., 1].mean(0), expected.mean(0), atol=0.15)
     np.testing.assert_allclose(actions[..., 1].std(0), expected.std(0), atol=0.15)
 
@@ -176,7 +153,7 @@ def test_box_actions_are_drawn_around_the_mean_and_clipped(tmp_path: Path) -> No
 @pytest.mark.parametrize("kind", ["values", "deterministic"])
 def test_a_deterministic_policy_has_nothing_to_sample_from(kind: str, tmp_path: Path) -> None:
     folder, run = kept(tmp_path, kind)
-    seen = observed(run.spec.action_space)
+    seen = drawn(run.spec.action_space, COPIES)
     with pytest.raises(HeadwayError, match="is deterministic"):
         load_policy(folder).act(seen.observations, seen.action_masks, deterministic=False)
 
@@ -184,7 +161,7 @@ def test_a_deterministic_policy_has_nothing_to_sample_from(kind: str, tmp_path: 
 def test_agents_by_name_act_as_in_arrays(tmp_path: Path) -> None:
     """An absent agent keeps its hidden state; one whose state is removed starts anew."""
     folder, run = kept(tmp_path, "recurrent")
-    policy, seen = load_policy(folder), observed(run.spec.action_space)
+    policy, seen = load_policy(folder), drawn(run.spec.action_space, COPIES)
     assert seen.action_masks is not None
     rows, masks = seen.observations, seen.action_masks
     first, state = policy.act(rows[0], masks[0])
@@ -440,6 +417,6 @@ def test_a_policy_that_does_not_describe_itself_is_one_line(
 def test_a_policy_that_splits_later_acts_with_one_network_per_agent(tmp_path: Path) -> None:
     settings: dict[str, Any] = {"policies": "independent", "shared_until": 0.5}
     folder = keep_made(tmp_path, "ippo", spec_with(Discrete(3)), **settings)[0]
-    run, seen = TrainedRun.read(folder), observed(Discrete(3))
+    run, seen = TrainedRun.read(folder), drawn(Discrete(3), COPIES)
     assert run.description.network.policy_of_agent == (0, 1, 2, 3, 4)
     require_parity(load_policy(folder), run.acting, run.parameters, seen, None)

@@ -20,6 +20,15 @@ from headway.store.checkpoint import load_latest, save_checkpoint
 from headway.store.parquet_log import RunLog
 
 
+def _committed(folder: Path, values: dict[int, Any]) -> RunLog:
+    """Return a log with one committed row per iteration."""
+    run = RunLog(folder)
+    for iteration, value in values.items():
+        run.append("curve", [{"iteration": iteration, "env_steps": iteration, "x": value}])
+        run.commit(iteration)
+    return run
+
+
 def test_rows_are_visible_after_commit_only(tmp_path: Path) -> None:
     run = RunLog(tmp_path)
     run.append("curve", [{"iteration": 1, "env_steps": 10, "train/reward": 0.5}])
@@ -48,10 +57,7 @@ def test_columns_have_three_types_and_may_differ_between_segments(tmp_path: Path
 
 
 def test_an_integer_column_may_become_floats_later(tmp_path: Path) -> None:
-    run = RunLog(tmp_path)
-    for iteration, value in ((1, 3), (2, 0.25)):
-        run.append("curve", [{"iteration": iteration, "env_steps": iteration, "x": value}])
-        run.commit(iteration)
+    _committed(tmp_path, {1: 3, 2: 0.25})
     assert list(parquet_log.read(tmp_path, "curve")["x"]) == [3.0, 0.25]
 
 
@@ -74,10 +80,7 @@ def test_a_second_commit_of_an_iteration_extends_it(tmp_path: Path) -> None:
 
 
 def test_rewind_removes_rows_newer_than_the_checkpoint(tmp_path: Path) -> None:
-    run = RunLog(tmp_path)
-    for iteration in (10, 20, 30):
-        run.append("curve", [{"iteration": iteration, "env_steps": iteration}])
-        run.commit(iteration)
+    run = _committed(tmp_path, {10: 0, 20: 0, 30: 0})
     run.append("curve", [{"iteration": 31, "env_steps": 31}])
     run.rewind(20)
     run.commit(31)
@@ -99,18 +102,13 @@ def test_text_and_numbers_do_not_mix(tmp_path: Path) -> None:
 
 
 def test_a_segment_of_other_types_is_named_by_its_column(tmp_path: Path) -> None:
-    run = RunLog(tmp_path)
-    for iteration, value in ((1, 1.0), (2, "one")):
-        run.append("curve", [{"iteration": iteration, "env_steps": iteration, "x": value}])
-        run.commit(iteration)
+    _committed(tmp_path, {1: 1.0, 2: "one"})
     with pytest.raises(HeadwayError, match=r"curve-000002\.parquet, column x is of type string"):
         parquet_log.read(tmp_path, "curve")
 
 
 def test_a_full_disk_is_one_line_and_loses_no_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = RunLog(tmp_path)
-    run.append("curve", [{"iteration": 1, "env_steps": 1}])
-    run.commit(1)
+    run = _committed(tmp_path, {1: 0})
     run.append("curve", [{"iteration": 2, "env_steps": 2}])
 
     def full(_descriptor: int) -> None:

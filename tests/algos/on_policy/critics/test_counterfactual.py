@@ -4,7 +4,6 @@ The loops evaluate one network of one replica at a time, as float64 matrices. Th
 random numbers for actions sampled where none were taken.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,11 +11,12 @@ import numpy as np
 import pytest
 import torch
 from covering import quick_or_slow
+from made_trajectories import DISCRETE, STATE, TEAM, fabricate, naive_advantages, poisoned
 from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
 from headway_algos.config import AlgoConfig, ModelConfig
-from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic, counterfactual_advantages
+from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.return_regression import ReturnNetworks
 from headway_algos.on_policy.critics.value import ValueCritic
@@ -24,14 +24,7 @@ from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.registry import configure
 
 Array = NDArray[np.float64]
-Fabricate = Callable[..., Trajectory]
-Poison = Callable[[Trajectory], Trajectory]
 
-DISCRETE = EnvSpec(
-    "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
-)
-STATE = replace(DISCRETE, state_size=5)
-TEAM = replace(STATE, shared_reward=True)
 TEAM_BLIND = replace(DISCRETE, shared_reward=True)
 TEAMS = replace(DISCRETE, shared_in_groups=True)
 BOX = replace(STATE, action_space=Box((-0.5, -1.0), (0.5, 1.0)), has_action_mask=False)
@@ -187,30 +180,6 @@ def _moment(made: Trajectory, t: int, c: int, ended: NDArray[np.bool_] | None = 
     return Moment(observations, state.astype(np.float64), present, joint, masks, actions)
 
 
-def _lambda_return(
-    rewards: Array, values: Array, final: Array, over: Array, cut: Array, present: Array, config: AlgoConfig
-) -> Array:
-    """(1 - lambda) sum over n of lambda^(n - 1) times the n-step return of one stream, (T,).
-
-    `values` (T + 1,) are of the actions taken, the last of the sampled action. Steps of absence lengthen the
-    step before.
-    """
-    gamma, lam, steps, result = config.gamma, config.gae_lambda, len(rewards), np.zeros(len(rewards))
-    for t in np.flatnonzero(present[:-1]):
-        paid, discount, weight, total = 0.0, 1.0, 1.0, 0.0
-        for s in range(t, steps):
-            paid, discount = paid + discount * rewards[s], discount * gamma
-            if over[s] or cut[s] or s == steps - 1:
-                end = 0.0 if over[s] else final[s] if cut[s] else values[steps]
-                total += weight * (paid + discount * end)
-                break
-            if present[s + 1]:
-                total += (1 - lam) * weight * (paid + discount * values[s + 1])
-                weight *= lam
-        result[t] = total
-    return result
-
-
 def _expected(learner: OnPolicyLearner, made: Trajectory, r: int, iteration: int) -> tuple[Array, ...]:
     """Advantages, values and returns (T, E, N) of replica r by loops.
 
@@ -276,9 +245,9 @@ def _expected(learner: OnPolicyLearner, made: Trajectory, r: int, iteration: int
             alive = made.alive[:-1, c, n]
             u = np.where(alive, taken[:, c, n], 0)
             of_taken = values[np.arange(steps), c, n, u]
-            returns[:, c, n] = _lambda_return(
+            returns[:, c, n] = of_taken + naive_advantages(
                 made.rewards[:, c, n].astype(np.float64), np.append(of_taken, last[n]), final[:, c, n],
-                over[:, c, n], cut[:, c, n], made.alive[:, c, n], config,
+                over[:, c, n], cut[:, c, n], np.append(alive, True), config.gamma, config.gae_lambda,
             )  # fmt: skip
             kept[:, c, n] = q[np.arange(steps), c, n, u]
             baseline = np.array([chances[t, c, n] @ q[t, c, n] for t in range(steps)])
@@ -296,9 +265,7 @@ def _expected(learner: OnPolicyLearner, made: Trajectory, r: int, iteration: int
         "others team box, groups",
     ),
 )
-def test_estimates_equal_the_loops(
-    fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
-) -> None:
+def test_estimates_equal_the_loops(config: AlgoConfig, spec: EnvSpec) -> None:
     """Before training, and with target network, critic and normalisers that differ: returns come from the
     target network, advantages from the critic, and the baseline from the policy's chances of allowed actions.
     """
@@ -331,7 +298,7 @@ def _rows_of(learner: OnPolicyLearner, estimate: CriticEstimate, p: int) -> tupl
 
 
 @pytest.mark.parametrize("spec", [STATE, TEAM])
-def test_only_q_of_the_action_taken_is_trained(fabricate: Fabricate, poisoned: Poison, spec: EnvSpec) -> None:
+def test_only_q_of_the_action_taken_is_trained(spec: EnvSpec) -> None:
     """Two steps on the whole batch against torch's Adam with one network at a time; outputs for actions not
     taken have no gradient."""
     config = replace(COMA, epochs=2, minibatches=1, normalise_values=False, grad_clip=0.3)
@@ -363,14 +330,6 @@ def test_only_q_of_the_action_taken_is_trained(fabricate: Fabricate, poisoned: P
             torch.testing.assert_close(tensor[p], parameter, rtol=1e-10, atol=1e-10)
 
 
-def test_the_baseline_is_the_policys_mean_of_q() -> None:
-    q = np.array([[[[1.0, 5.0, -2.0], [3.0, 3.0, 3.0], [np.nan, np.nan, np.nan]]]])
-    chances = np.array([[[[0.5, 0.25, 0.25], [0.1, 0.2, 0.7], [1.0, 0.0, 0.0]]]])
-    present = np.array([[[True, True, False]]])
-    advantages = counterfactual_advantages(q, np.array([[[1, 2, 0]]]), chances, present)
-    np.testing.assert_allclose(advantages, [[[5 - (0.5 + 1.25 - 0.5), 0, 0]]], rtol=0, atol=1e-15)
-
-
 def _copied(learner: OnPolicyLearner) -> bool:
     critic = learner.critic
     assert isinstance(critic, CounterfactualCritic)
@@ -383,9 +342,7 @@ def _copied(learner: OnPolicyLearner) -> bool:
 
 
 @pytest.mark.parametrize("every", [1, 2, 3])
-def test_the_target_network_is_copied_on_schedule_also_after_resuming(
-    fabricate: Fabricate, every: int
-) -> None:
+def test_the_target_network_is_copied_on_schedule_also_after_resuming(every: int) -> None:
     config = replace(COMA, target_every=every)
     learner = OnPolicyLearner(config, TEAM, (1, 2), "cpu")
     copied = []

@@ -1,15 +1,15 @@
 """Inputs of critics per viewpoint, and sampled actions where none were taken."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from made_trajectories import DISCRETE, STATE, TEAM, fabricate, poisoned
 from numpy.typing import NDArray
 
-from headway.contracts import Box, Discrete, EnvSpec, MultiDiscrete, Trajectory, generator
+from headway.contracts import Box, EnvSpec, MultiDiscrete, Trajectory, generator
 from headway_algos.batches.critic_batch import CriticBatch
 from headway_algos.config import AlgoConfig, ModelConfig
 from headway_algos.on_policy.critics.counterfactual import CounterfactualCritic
@@ -18,14 +18,6 @@ from headway_algos.on_policy.critics.value import ValueCritic
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.registry import configure
 
-Fabricate = Callable[..., Trajectory]
-Poison = Callable[[Trajectory], Trajectory]
-
-DISCRETE = EnvSpec(
-    "made", tuple("abcd"), 3, Discrete(3), groups=tuple("xyxx"), has_action_mask=True, agents_come_and_go=True
-)
-STATE = replace(DISCRETE, state_size=5)
-TEAM = replace(STATE, shared_reward=True)
 TEAM_BLIND = replace(DISCRETE, shared_reward=True)
 BOX = replace(STATE, action_space=Box((-0.5, -1.0), (0.5, 1.0)), has_action_mask=False)
 SETTINGS: dict[str, Any] = {"model": ModelConfig(hidden=(7, 6), actor_gain=0.5), "precision": "float64"}
@@ -47,9 +39,7 @@ def _inputs(learner: OnPolicyLearner, made: Trajectory) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("config", [COMA, OTHERS])
 @pytest.mark.parametrize("spec", [DISCRETE, TEAM])
-def test_a_viewpoint_shows_the_others_actions_and_not_its_own(
-    fabricate: Fabricate, config: AlgoConfig, spec: EnvSpec
-) -> None:
+def test_a_viewpoint_shows_the_others_actions_and_not_its_own(config: AlgoConfig, spec: EnvSpec) -> None:
     learner = OnPolicyLearner(config, spec, (1,), "cpu")
     made = fabricate(spec, 5, 2, seed=0, absent=0.3)
     made.actions[:, :, 1] = 0
@@ -62,7 +52,7 @@ def test_a_viewpoint_shows_the_others_actions_and_not_its_own(
         np.testing.assert_array_equal(changed[:, :, n], there)
 
 
-def test_each_of_the_others_choices_is_one_hot(fabricate: Fabricate) -> None:
+def test_each_of_the_others_choices_is_one_hot() -> None:
     spec = replace(DISCRETE, action_space=MultiDiscrete((2, 3)), has_action_mask=False)
     learner = OnPolicyLearner(OTHERS, spec, (1,), "cpu")
     made = fabricate(spec, 5, 2, seed=0)
@@ -79,9 +69,7 @@ def test_each_of_the_others_choices_is_one_hot(fabricate: Fabricate) -> None:
 
 @pytest.mark.parametrize("config", [COMA, replace(OTHERS, policies="shared")])
 @pytest.mark.parametrize("spec", [STATE, TEAM_BLIND])
-def test_features_are_normalised_and_indicators_are_not(
-    fabricate: Fabricate, poisoned: Poison, config: AlgoConfig, spec: EnvSpec
-) -> None:
+def test_features_are_normalised_and_indicators_are_not(config: AlgoConfig, spec: EnvSpec) -> None:
     learner = OnPolicyLearner(config, spec, (1,), "cpu")
     critic = learner.critic
     assert isinstance(critic, CounterfactualCritic | ValueCritic)
@@ -97,7 +85,7 @@ def test_features_are_normalised_and_indicators_are_not(
     assert rows.shape[1] == size + 4 * 3 + (4 if config is COMA else 0)
 
 
-def test_a_team_of_one_has_no_value_while_its_agent_is_absent(fabricate: Fabricate) -> None:
+def test_a_team_of_one_has_no_value_while_its_agent_is_absent() -> None:
     """There is no Q without an action, although the team's return continues."""
     spec = replace(TEAM, agents=("a",), groups=("x",))
     made = fabricate(spec, 6, 2, seed=0, absent=0.4)
@@ -108,7 +96,7 @@ def test_a_team_of_one_has_no_value_while_its_agent_is_absent(fabricate: Fabrica
 
 
 @pytest.mark.parametrize("spec", [STATE, BOX])
-def test_actions_are_sampled_as_by_workers(fabricate: Fabricate, spec: EnvSpec) -> None:
+def test_actions_are_sampled_as_by_workers(spec: EnvSpec) -> None:
     """Actions have the policy's frequencies; forbidden ones never occur, and absent agents get 0."""
     learner = OnPolicyLearner(COMA if spec is STATE else OTHERS, spec, (1, 2), "cpu")
     made = fabricate(spec, 1, 4, seed=0, absent=0.3)
@@ -135,9 +123,7 @@ def test_actions_are_sampled_as_by_workers(fabricate: Fabricate, spec: EnvSpec) 
         np.testing.assert_allclose(drawn.std(axis=0)[one.present[0]], np.exp(-0.5), rtol=0.05)
 
 
-def test_central_critics_see_the_state_and_with_individual_rewards_the_own_observation(
-    fabricate: Fabricate,
-) -> None:
+def test_central_critics_see_the_state_and_with_individual_rewards_the_own_observation() -> None:
     config = configure("mappo", **{**SETTINGS, "normalise_observations": False}, policies="shared")
     made = fabricate(STATE, 5, 2, seed=0)
     inputs = _inputs(OnPolicyLearner(config, STATE, (1,), "cpu"), made)
