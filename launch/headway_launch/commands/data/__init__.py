@@ -5,6 +5,7 @@ examples:
   headway data synthetic towns/city --size city --seed 1
   headway data gtfs feed.zip towns/mine
   headway data csv counts towns/mine
+  headway data transitgym SG_43_1 towns/sg43
   headway data sunt ../sunt_raw towns/salvador
   headway data describe towns/mine
   headway data plot towns/mine --output map.png
