@@ -6,7 +6,7 @@ A frame of scores has one row per run: `controller` (what is compared: an algori
 """
 
 from collections.abc import Mapping, Sequence
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from headway.stats.curves import auc, final_reward, value_range
 from headway.stats.intervals import mean_and_half_width
+from headway.stats.pairs import holm
+from headway.stats.ranks import ranks, signed_rank_p_value
 from headway.stats.samples import mean_std
 from headway.stats.scores import (
     Band,
@@ -144,6 +146,31 @@ def improvements(scores: pd.DataFrame) -> pd.DataFrame:
         found = probability_of_improvement(left, right)
         rows.append({"a": a, "b": b, "probability": found.estimate, "low": found.low, "high": found.high})
     return pd.DataFrame(rows, columns=["a", "b", "probability", "low", "high"])
+
+
+def rank_table(scores: pd.DataFrame) -> pd.DataFrame:
+    """Return the ranks of controllers (index) on each task and their `average_rank`, best first.
+
+    `scores`: one row per task and one column per controller; 1 is the rank of the highest.
+    """
+    table = pd.DataFrame(ranks(scores.to_numpy()).T, scores.columns, scores.index).rename_axis("controller")
+    table = table.assign(average_rank=table.mean(axis="columns"))
+    return table.sort_values("average_rank", kind="stable")
+
+
+def rank_pairs(scores: pd.DataFrame) -> pd.DataFrame:
+    """Return Wilcoxon's signed-rank test over tasks of each pair of controllers, best average rank first.
+
+    `scores`: as in `rank_table`, comparable between tasks. Columns: `a`, `b`, the mean `difference`, `p` and
+    `p_holm`, corrected for the number of pairs.
+    """
+    rows = [
+        {"a": a, "b": b, "difference": float(values.mean()), "p": signed_rank_p_value(values)}
+        for a, b in combinations(rank_table(scores).index, 2)
+        for values in [(scores[a] - scores[b]).to_numpy()]
+    ]
+    found = pd.DataFrame(rows, columns=["a", "b", "difference", "p"])
+    return found.assign(p_holm=holm(found["p"]))
 
 
 def profiles(scores: pd.DataFrame, thresholds: ArrayLike | None = None) -> pd.DataFrame:

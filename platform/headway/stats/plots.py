@@ -390,6 +390,50 @@ def performance_profiles(
     return figure
 
 
+def rank_diagram(average_ranks: Mapping[str, float], groups: Sequence[tuple[int, int]]) -> "Figure":
+    """Plot a critical-difference diagram (Demsar 2006) of controllers, best average rank first.
+
+    `groups`: first and last place in that order of the controllers that a bar joins. The better half of the
+    names is at the left of the axis of ranks, the others at the right.
+    """
+    names, places = list(average_ranks), list(average_ranks.values())
+    count, left = len(names), (len(names) + 1) // 2
+    wrapped = [_wrapped(f"{name} ({_four_digits(rank)})") for name, rank in average_ranks.items()]
+    row = 0.1 + max(_label_height(name) for name in wrapped)
+    bars = 0.12 * (len(groups) + 1)
+    figure = _figure(0.6 + bars + row * left)
+    axes = figure.subplots()
+    margin = 0.04 * max(count - 1, 1)
+    axes.set_xlim(1 - margin, count + margin)
+    axes.set_ylim(bars + row * left, 0)
+    axes.xaxis.tick_top()
+    axes.xaxis.set_label_position("top")
+    axes.set_xlabel("average rank")
+    axes.set_xticks(range(1, count + 1))
+    axes.set_yticks([])
+    for side in ("left", "right", "bottom"):
+        axes.spines[side].set_visible(False)
+    for place, (name, rank) in enumerate(zip(wrapped, places, strict=True)):
+        is_left = place < left
+        depth = bars + row * (0.5 + (place if is_left else count - 1 - place))
+        edge = 1 - margin if is_left else count + margin
+        axes.plot([rank, rank, edge], [0, depth, depth], color="0.3", linewidth=0.9)
+        axes.annotate(
+            name,
+            xy=(edge, depth),
+            xytext=(-4 if is_left else 4, 0),
+            textcoords="offset points",
+            fontsize="small",
+            horizontalalignment="right" if is_left else "left",
+            verticalalignment="center",
+            annotation_clip=False,
+        )
+    for place, (first, last) in enumerate(groups):
+        ends = [places[first] - 0.3 * margin, places[last] + 0.3 * margin]
+        axes.plot(ends, [0.12 * (place + 1)] * 2, color="0.1", linewidth=3.5, solid_capstyle="butt")
+    return figure
+
+
 def best_of_n(
     curves: "Mapping[str, BestOf]", label: str, styles: Mapping[str, Mapping[str, Any]], title: str
 ) -> "Figure":
