@@ -3,6 +3,7 @@
 import argparse
 import re
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 from headway.config.experiment import StoreConfig
@@ -84,6 +85,24 @@ def existing_store(folder: str) -> Path:
             f"there is no store in {folder!r}; `headway run` creates one, --store selects another"
         )
     return Path(folder)
+
+
+def named_studies(words: Sequence[str], store: str) -> dict[str, tuple[Path, str]]:
+    """Return store and study of each word `STUDY` or `STORE:STUDY`, by a short unique name.
+
+    Raises HeadwayError for a study that is named twice and for a store that does not exist.
+    """
+    found: dict[str, tuple[Path, str]] = {}
+    for word in words:
+        folder, _, study = word.rpartition(":")
+        if "/" not in folder and not Path(folder).is_dir():  # a study's name may hold a colon
+            folder, study = "", word
+        place = existing_store(folder or store), study
+        if place in found.values():
+            raise HeadwayError(f"study {study!r} is named twice")
+        name = without_folders(word) if any(known == study for _, known in found.values()) else study
+        found[word if name in found else name] = place
+    return found
 
 
 def typed_line(arguments: argparse.Namespace) -> str:

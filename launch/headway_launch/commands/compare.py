@@ -1,11 +1,12 @@
-"""`headway compare`: compare a study's cells and the classical rules on the same episodes."""
+"""`headway compare`: compare the cells of studies and the classical rules on the same episodes."""
 
 import argparse
 import csv
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
@@ -20,12 +21,22 @@ from headway_launch.commands.arguments import (
     add_config_dir_argument,
     add_store_argument,
     add_where_argument,
-    existing_store,
+    named_studies,
     typed_line,
     without_folders,
 )
 from headway_launch.console.tables import print_table
-from headway_launch.report.comparison_table import Comparison, ComparisonRow, comparison_table
+from headway_launch.report.comparison_table import (
+    PAIR_COLUMNS,
+    RECORD_COLUMNS,
+    Comparison,
+    ComparisonRow,
+    comparison_table,
+    pair_rows,
+    pairs_note,
+    pairs_table,
+)
+from headway_launch.report.elements import Table
 from headway_launch.report.latex_table import latex_table
 from headway_launch.report.markdown_page import markdown_table
 
@@ -43,6 +54,8 @@ examples:
   headway compare bus --episodes 200 --against always_move --metrics return,mean_wait_min,headway_cv
   headway compare bus --format markdown            a table for a page; latex: for a paper
   headway compare bus --best
+  headway compare bus --best --keep                store these episodes, for the report's absolute metric
+  headway compare bus bus_longer old/runs:bus      learners of several studies, also of other stores
   headway compare bus --rules always_move,headway_holding_0.9 --where preset=bus_tuned
   headway compare env=bus env.args.scenario=corridor --episodes 20        rules alone, without training
   headway compare experiment=intersection_study --against human --metrics outflow_vph,collisions
@@ -52,9 +65,12 @@ seed's policy is the one with the highest mean return in the evaluations during 
 are others (unless --seed is evaluation.seed). Differences are
 controller minus reference, paired by episode, with 95% intervals by Student's t: over episodes for a rule or
 a cell with one seed, over training seeds and episodes for a cell with several. The default reference is the
-rule with the highest mean return. The table rounds the numbers of a metric to two significant digits of its
-narrowest interval; so do markdown and latex (for the package booktabs), which have one row per controller;
-csv and json have all digits. `headway list metrics ENVIRONMENT` describes the metrics.
+rule with the highest mean return. Pairs of learners, of different studies if several are named, are compared
+by the first metric: paired by episode but not by seed, with an interval and a p-value over the seeds of both
+and the episodes. p (Holm) is corrected for the number of pairs; --where selects fewer.
+The tables round the numbers of a metric to two significant digits of its narrowest interval; so do markdown
+and latex (for the package booktabs), which have one row per controller or pair; csv and json have all digits
+and one row per difference. `headway list metrics ENVIRONMENT` describes the metrics.
 """
 
 
@@ -63,10 +79,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "study",
         metavar="STUDY|KEY=VALUE",
-        help="a study, as in `headway runs`; or, for rules alone, env=, env.KEY= or experiment=",
-    )
-    parser.add_argument(
-        "overrides", metavar="KEY=VALUE", nargs="*", default=[], help="further overrides, for rules alone"
+        nargs="+",
+        help="studies, as in `headway runs`, or STORE:STUDY for one of another store; or, for rules alone, "
+        "env=, env.KEY= or experiment=",
     )
     parser.add_argument("--episodes", type=int, default=100, help="evaluation episodes (default: 100)")
     parser.add_argument(
@@ -77,6 +92,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--mode", choices=("greedy", "sampled"), default="greedy", help="how policies act")
     add_best_argument(parser)
+    parser.add_argument(
+        "--keep",
+        action="store_true",
+        help="with --best: store the episodes, for the absolute metric of `headway report`",
+    )
     parser.add_argument("--rules", help="rules to evaluate, comma-separated (default: all that can run)")
     parser.add_argument("--against", help="reference rule (default: the best one)")
     parser.add_argument(
@@ -112,9 +132,15 @@ def execute(arguments: argparse.Namespace) -> int:
         )
     if arguments.seed < 0:
         raise HeadwayError(f"--seed {arguments.seed}: must not be negative")
+    if arguments.keep and not arguments.best:
+        raise HeadwayError("--keep stores the episodes of the best policies; add --best, or omit it")
+    if arguments.keep and arguments.archive is not None:
+        raise HeadwayError("--keep has no effect on an archive, which is only read; name its store")
     subject = _subject(arguments)
     which = ", best policies" if arguments.best else ""
     experiment, cells = subject.experiment, {f"{label}{which}": runs for label, runs in subject.cells.items()}
+    if arguments.keep:
+        _require_other_episodes(arguments.seed, cells)
     found = experiment.prepare()
     names = rules_to_play(found, arguments.rules)
     if not names:
@@ -139,6 +165,10 @@ def execute(arguments: argparse.Namespace) -> int:
             ]
             for label, of_cell in policies.items()
         }
+    if arguments.keep:
+        for label, members in cells.items():
+            iterations = [policy.iteration for policy in policies[label]]
+            _keep(members, iterations, played[label], rules, root, arguments.mode)
     mode = f", {arguments.mode}" if cells else ""
     by_return = sorted(rules, key=lambda rule: -_mean(rules[rule], "return"))
     comparison = Comparison(
@@ -147,12 +177,17 @@ def execute(arguments: argparse.Namespace) -> int:
         {metric: readable_metric(metric, found.entry.metrics.get(metric, "")) for metric in metrics},
         [*played, *(f"rule {rule}" for rule in by_return)],
         _rows(metrics, rules, played, reference),
+        pair_rows(
+            metrics[0],
+            {label: [_values(of_seed, metrics[0]) for of_seed in played[label]] for label in played},
+            subject.pairs(which),
+        ),
     )
     _FORMATS[arguments.format](comparison, typed_line(arguments))
     for label, members in cells.items():
         folders = [run.directory for run in members]
         return_metric = f"evaluation_{arguments.mode}/return"
-        if line := start_line(label, Path(arguments.store), folders, return_metric):
+        if line := start_line(label, members[0].store, folders, return_metric):
             print_line(line)
     returns = {label: fmean(_mean(of_seed, "return") for of_seed in played[label]) for label in played}
     for line in gap_lines(returns, {rule: _values(rows, "return") for rule, rows in rules.items()}):
@@ -171,8 +206,19 @@ class _Subject:
 
     name: str
     experiment: "Experiment"
-    cells: Mapping[str, list["StoredRun"]]
-    """Runs of each learner by label; empty if only rules are compared."""
+    studies: Sequence[Mapping[str, list["StoredRun"]]]
+    """Per study, the runs of each learner by label; empty if only rules are compared."""
+
+    @property
+    def cells(self) -> Mapping[str, list["StoredRun"]]:
+        """Runs of each learner by label."""
+        return {label: members for study in self.studies for label, members in study.items()}
+
+    def pairs(self, suffix: str) -> list[tuple[str, str]]:
+        """Return the labels, with a suffix, of the pairs to compare: of different studies, if several."""
+        several = combinations(self.studies, 2)
+        found = [(a, b) for one, other in several for a in one for b in other] or combinations(self.cells, 2)
+        return [(f"{a}{suffix}", f"{b}{suffix}") for a, b in found]
 
 
 def _subject(arguments: argparse.Namespace) -> _Subject:
@@ -180,28 +226,36 @@ def _subject(arguments: argparse.Namespace) -> _Subject:
     from headway_launch.experiments.options import options
     from headway_launch.experiments.override_words import require_each_key_once
 
-    if "=" in arguments.study:
-        words = [arguments.study, *arguments.overrides]
+    words: list[str] = arguments.study
+    if "=" in words[0]:
         require_each_key_once(words)
         _require_for_rules(words)
         if arguments.best:
             raise HeadwayError("--best has no effect if rules are compared alone; omit it, or name a study")
-        return _Subject(" ".join(map(without_folders, words)), compose(words), {})
-    if arguments.overrides:
+        return _Subject(" ".join(map(without_folders, words)), compose(words), ())
+    if override := next((word for word in words if "=" in word), None):
         raise HeadwayError(
-            f"{arguments.overrides[0]!r}: a study is compared with its own configuration; omit this, "
-            f"or omit {arguments.study!r} to compare rules alone"
+            f"{override!r}: a study is compared with its own configuration; omit this, "
+            f"or omit {words[0]!r} to compare rules alone"
         )
     try:
-        cells = _cells(existing_store(arguments.store), arguments.study, arguments.where)
+        named = named_studies(words, arguments.store)
+        found = [_cells(root, study, arguments.where) for root, study in named.values()]
     except HeadwayError as error:
         known = options()
         for group in ("env", "experiment"):
-            if arguments.study in known[group]:
-                hint = f"for rules alone: headway compare {group}={arguments.study}"
+            if words[0] in known[group]:
+                hint = f"for rules alone: headway compare {group}={words[0]}"
                 raise HeadwayError(f"{error}; {hint}") from error
         raise
-    return _Subject(arguments.study, next(iter(cells.values()))[0].experiment, cells)
+    if len(found) > 1:
+        found = [
+            {f"{label} ({name})": members for label, members in cells.items()}
+            for name, cells in zip(named, found, strict=True)
+        ]
+    subject = _Subject(" and ".join(named), next(iter(found[0].values()))[0].experiment, found)
+    _require_one_environment(subject)
+    return subject
 
 
 def _require_for_rules(words: Sequence[str]) -> None:
@@ -220,26 +274,30 @@ def _require_for_rules(words: Sequence[str]) -> None:
 def _cells(root: Path, study: str, where: Sequence[str]) -> Mapping[str, list["StoredRun"]]:
     """Return the finished runs of a study for which `where` holds, by label.
 
-    Raises HeadwayError if there are none or if their evaluation environments differ.
+    Raises HeadwayError if there are none.
     """
     from headway.store.cell_names import labelled_cells
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.runs import finished_runs
 
     runs = finished_runs(root, study, where)
-    cells = {
+    return {
         label: [StoredRun.read(root, Path(row.directory)) for row in members]
         for label, members in labelled_cells(runs.rows, runs.beside).items()
     }
-    environments = [members[0].experiment.evaluated_env for members in cells.values()]
+
+
+def _require_one_environment(subject: _Subject) -> None:
+    """Raise HeadwayError if the evaluation environments of the learners differ."""
+    environments = [members[0].experiment.evaluated_env for members in subject.cells.values()]
     if differing := _differing(environments):
         more = "; ..." if len(differing) > _MAX_DIFFERENCES else ""
         shown = "; ".join(f"{key} ({values})" for key, values in list(differing.items())[:_MAX_DIFFERENCES])
+        have = "study {} holds" if len(subject.studies) == 1 else "studies {} hold"
         raise HeadwayError(
-            f"study {study!r} holds several environments, which differ in {shown}{more}: choose one, "
-            f"such as --where '{next(iter(differing))}=...'"
+            f"{have.format(subject.name)} several environments, which differ in {shown}{more}: choose one, "
+            f"such as --where '{next(iter(differing))}=...'; `headway report` compares over environments"
         )
-    return cells
 
 
 def _differing(environments: Sequence[Mapping[str, object]]) -> dict[str, str]:
@@ -302,13 +360,71 @@ def _rows(
     return rows
 
 
+def _require_other_episodes(root: int, cells: Mapping[str, Sequence["StoredRun"]]) -> None:
+    """Raise HeadwayError if episodes of this root selected the best policies of a learner."""
+    for label, members in cells.items():
+        if members[0].experiment.config.evaluation.seed == root:
+            raise HeadwayError(
+                f"--keep: the episodes of --seed {root} selected the policies of {label}, on which their "
+                "return is too high; give another --seed"
+            )
+
+
+def _keep(
+    members: Sequence["StoredRun"],
+    iterations: Sequence[int],
+    played: Sequence[Sequence["Row"]],
+    rules: Mapping[str, Sequence["Row"]],
+    root: int,
+    mode: str,
+) -> None:
+    """Store the episodes of a learner's best policies and of the rules beside its runs."""
+    from headway.store.atomic_files import write_json
+    from headway.store.run_folder import best_file
+    from headway_launch.console.output_files import write_error
+
+    record = members[0].record
+    path = best_file(members[0].store, record.study, record.cell)
+    runs = {
+        run.record.run_id: {"iteration": iteration, "episodes": list(episodes)}
+        for run, iteration, episodes in zip(members, iterations, played, strict=True)
+    }
+    try:
+        write_json(path, {"seed": root, "mode": mode, "rules": dict(rules), "runs": runs})
+    except OSError as error:
+        raise write_error("--keep", path, error) from error
+
+
+def _print_tables(found: Comparison, line: str) -> None:
+    from headway_launch.console.output import print_line
+
+    print_table(found.columns, found.rounded(), title=found.title)
+    if found.pairs:
+        print_table(PAIR_COLUMNS, found.rounded_pairs(), title="pairs of learners")
+        print_line(pairs_note(found.pairs))
+
+
+def _page_tables(found: Comparison, note: str = "") -> list[Table]:
+    """Return the tables for a page or a paper; `note`: end of their captions."""
+    tables = [comparison_table(found, note)]
+    if found.pairs:
+        caption = f"{found.title}. Differences between learners, {found.metrics[found.pairs[0].metric]}"
+        pairs = pairs_table(found.pairs, "pairs", caption)
+        tables.append(replace(pairs, caption=pairs.caption + note))
+    return tables
+
+
 _FORMATS: Mapping[str, Callable[[Comparison, str], None]] = {
-    "table": lambda found, _: print_table(found.columns, found.rounded(), title=found.title),
+    "table": _print_tables,
     "json": lambda found, _: print(json.dumps(found.records(), indent=1)),
     "csv": lambda found, _: csv.writer(sys.stdout, lineterminator="\n").writerows(
-        [found.columns, *found.rows]
+        [RECORD_COLUMNS, *(record.values() for record in found.records())]
     ),
-    "markdown": lambda found, line: print(markdown_table(comparison_table(found, f" Written by `{line}`."))),
-    "latex": lambda found, line: print(latex_table(comparison_table(found), line), end=""),
+    "markdown": lambda found, line: print(
+        "\n\n".join(map(markdown_table, _page_tables(found, f" Written by `{line}`.")))
+    ),
+    "latex": lambda found, line: print(
+        "\n".join(latex_table(table, line) for table in _page_tables(found)), end=""
+    ),
 }
 """Printers by the value of --format, of a comparison made by a command line."""

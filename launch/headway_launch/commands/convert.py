@@ -36,7 +36,8 @@ Reads the logs of the newest finished run of each cell and seed; nothing is sent
 table, columns.csv with meanings and units, and each run's configuration; tensorboard: a folder of event files
 per run; wandb: an offline run per run, in the project STUDY. In both, the steps are environment steps.
 marl-eval: metrics.json with the evaluation episodes, as that package reads it: metrics that all runs have,
-with spaces in place of underscores, which it would take apart; absolute_metrics are the episodes of the last
+with spaces in place of underscores, which it would take apart; absolute_metrics are the episodes that
+`headway compare STUDY --best --keep` stored of the best policies or, if a run has none, those of the last
 evaluation.
 """
 _MEANINGS = {
@@ -186,14 +187,23 @@ def _write_marl_eval(runs: "RunSelection", folder: Path) -> None:
     """
     from headway.events import LABELS
     from headway.store.query import LABELS as RUN_LABELS
-    from headway_launch.studies.runs import common_mode, configuration
+    from headway_launch.studies.runs import common_mode, configuration, kept_episodes
 
-    played = runs.evaluations(mode=common_mode(runs)).sort_values(["env_steps", "episode_seed"])
-    metrics = [name for name in played if name not in {*RUN_LABELS, *LABELS} and played[name].notna().all()]
+    mode = common_mode(runs)
+    played = runs.evaluations(mode=mode).sort_values(["env_steps", "episode_seed"])
+    known = {*RUN_LABELS, *LABELS}
+    metrics = [str(name) for name in played if name not in known and played[name].notna().all()]
 
     def values(rows: "pd.DataFrame") -> dict[str, list[float]]:
-        return {str(name).replace("_", " ").lower(): rows[name].astype(float).tolist() for name in metrics}
+        return {name.replace("_", " ").lower(): rows[name].astype(float).tolist() for name in metrics}
 
+    absolute: dict[str, pd.DataFrame] = {}
+    for row in runs.rows:
+        absolute |= kept_episodes([row], mode, metrics)[0]
+    if len(absolute) < len(runs.rows):
+        absolute = {
+            row.run_id: played[(played["run_id"] == row.run_id) & (played["final"] == 1)] for row in runs.rows
+        }
     tree: dict[str, dict[str, dict[str, dict[str, Any]]]] = {}
     for row in runs.rows:
         name, of_run = runs.names[row.cell], played[played["run_id"] == row.run_id]
@@ -206,7 +216,7 @@ def _write_marl_eval(runs: "RunSelection", folder: Path) -> None:
         }
         of_task = tree.setdefault(row.environment.lower(), {}).setdefault(name.task.lower(), {})
         seeds = of_task.setdefault(name.controller, {})
-        seeds[f"seed_{row.seed}"] = {**steps, "absolute_metrics": values(of_run[of_run["final"] == 1])}
+        seeds[f"seed_{row.seed}"] = {**steps, "absolute_metrics": values(absolute[row.run_id])}
     for tasks in tree.values():
         _require_alike(tasks)
     (folder / "metrics.json").write_text(json.dumps(tree), encoding="utf-8")

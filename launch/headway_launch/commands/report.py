@@ -1,10 +1,10 @@
-"""`headway report`: write a study's report as a page of HTML or Markdown, or its parts for a paper."""
+"""`headway report`: write a report of studies as a page of HTML or Markdown, or its parts for a paper."""
 
 import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.arguments import add_store_argument, existing_store, typed_line
+from headway_launch.commands.arguments import add_store_argument, named_studies, typed_line
 from headway_launch.report.report_files import FORMATS, write_report
 
 EXAMPLES = """\
@@ -13,6 +13,7 @@ examples:
   headway report bus --output supplement
   headway report bus --format markdown --output docs/bus      a page for a site, docs/bus/report.md
   headway report bus --format latex --output paper            tables and pictures for a paper
+  headway report bus merge old/runs:crossing                  ranks and normalised scores over environments
   headway report bus --metric evaluation_sampled/return
   headway report bus --metric evaluation_greedy/mean_wait_min --lower-is-better
 
@@ -26,9 +27,16 @@ reads the store; nothing is trained or evaluated.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the study, the format, the folder and the metric."""
-    parser.add_argument("study", metavar="STUDY", help="name of the study, as in `headway runs`")
+    parser.add_argument(
+        "study",
+        metavar="STUDY",
+        nargs="+",
+        help="names of studies, as in `headway runs`, or STORE:STUDY for one of another store",
+    )
     parser.add_argument("--format", choices=FORMATS, default="html", help="what to write (default: html)")
-    parser.add_argument("--output", metavar="DIR", help="folder to write (default: report-STUDY)")
+    parser.add_argument(
+        "--output", metavar="DIR", help="folder to write (default: report-STUDY, or report-STUDY-STUDY...)"
+    )
     parser.add_argument(
         "--metric", help="evaluation metric of final rewards (default: evaluation_greedy/return)"
     )
@@ -43,13 +51,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Write the report and print the path of its page, or of its folder if it has none."""
-    root = existing_store(arguments.store)
-    folder = Path(arguments.output or f"report-{arguments.study}")
+    (root, study), *others = named_studies(arguments.study, arguments.store).values()
+    folder = Path(arguments.output or "-".join(["report", study, *(other for _, other in others)]))
     if folder.exists() and not folder.is_dir():
         raise HeadwayError(f"--output: {folder} is a file; name a folder")
     from headway_launch.report.study_data import StudyData
     from headway_launch.report.study_report import report_of
 
-    data = StudyData(root, arguments.study, arguments.metric, arguments.lower_is_better, arguments.low)
+    data = StudyData(root, study, arguments.metric, arguments.lower_is_better, arguments.low, others)
     print(write_report(report_of(data, typed_line(arguments)), folder, FORMATS[arguments.format]))
     return 0

@@ -1,12 +1,23 @@
-"""The comparison of learners and rules that `headway compare` prints, and its table for a page or a paper."""
+"""Comparisons of learners with rules and with each other, and their tables for a page or a paper."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from headway.stats.pairs import MOST_SEEDS, POWER, LearnerDifference, holm
+from headway.stats.samples import CONFIDENCE
 from headway_launch.console.tables import Value
-from headway_launch.report.elements import MISSING, Table, formatted
+from headway_launch.report.elements import MISSING, Table, formatted, with_interval
+
+PAIR_COLUMNS = (
+    *("metric", "learner", "minus learner", "difference", "95% low", "95% high"),
+    *("p", "p (Holm)", "seeds needed"),
+)
+RECORD_COLUMNS = (
+    *("metric", "controller", "seeds", "mean", "reference", "difference", "95% low", "95% high", "interval"),
+    *("p", "p (Holm)", "seeds needed"),
+)
 
 
 class ComparisonRow(NamedTuple):
@@ -24,6 +35,63 @@ class ComparisonRow(NamedTuple):
     """Kind of the 95% interval of the difference, from `low` to `high`."""
 
 
+class PairRow(NamedTuple):
+    """One metric of two learners on the same episodes."""
+
+    metric: str
+    a: str
+    b: str
+    found: LearnerDifference
+    """a minus b."""
+    corrected_p: float
+    """Its p-value, corrected by Holm for the number of pairs."""
+    seeds_needed: float
+    """See `LearnerDifference.seeds_needed`, with the significance of one of as many tests as pairs."""
+
+    @property
+    def p_texts(self) -> tuple[str, str]:
+        """The p-value and the corrected one."""
+        return p_text(self.found.p_value), p_text(self.corrected_p)
+
+    @property
+    def needed(self) -> int | str | None:
+        """The number of seeds needed; None if it is unknown."""
+        if math.isnan(self.seeds_needed):
+            return None
+        return f">{MOST_SEEDS:,}" if math.isinf(self.seeds_needed) else int(self.seeds_needed)
+
+
+def pair_rows(
+    metric: str,
+    learners: Mapping[str, Sequence[Sequence[float]]],
+    pairs: Iterable[tuple[str, str]],
+) -> list[PairRow]:
+    """Compare pairs of `learners`, each with its values of a metric (seeds x episodes); the pairs are one
+    family of hypotheses."""
+    found = {(a, b): LearnerDifference.of(learners[a], learners[b]) for a, b in pairs}
+    corrected = holm([each.p_value for each in found.values()])
+    significance = (1 - CONFIDENCE) / max(len(found), 1)
+    return [
+        PairRow(metric, *pair, each, float(p_value), each.seeds_needed(significance))
+        for (pair, each), p_value in zip(found.items(), corrected, strict=True)
+    ]
+
+
+def p_text(value: float) -> str:
+    """Return a p-value with three decimals."""
+    return "<0.001" if value < 0.001 else f"{value:.3f}"
+
+
+def pairs_note(pairs: Sequence[PairRow]) -> str:
+    """Explain the columns of a table of pairs, which played the same episodes."""
+    family = f"corrected by Holm for {len(pairs)} pairs" if len(pairs) > 1 else "of a single pair"
+    return (
+        f"p (Holm): {family}. Seeds needed: seeds per learner with which a corrected p below "
+        f"{1 - CONFIDENCE:.0%} has a probability of {POWER:.0%} with {pairs[0].found.episodes} episodes, if "
+        "the true difference and variances are the observed ones"
+    )
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Controllers compared on the same episodes."""
@@ -35,6 +103,8 @@ class Comparison:
     controllers: Sequence[str]
     """In the order of a page: learners, then rules by their mean return."""
     rows: Sequence[ComparisonRow]
+    pairs: Sequence[PairRow] = ()
+    """Pairs of learners, by the first metric."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -45,26 +115,68 @@ class Comparison:
     @property
     def decimals(self) -> dict[str, int]:
         """Decimals of each metric that show two significant digits of its narrowest interval."""
-        widths: dict[str, float] = {}
-        for row in self.rows:
-            if row.low is not None and row.high is not None and row.high > row.low:
-                widths[row.metric] = min(widths.get(row.metric, math.inf), row.high - row.low)
-        return {metric: 1 - math.floor(math.log10(width)) for metric, width in widths.items()}
+        return _decimals((row.metric, row.low, row.high) for row in self.rows)
 
     def records(self) -> list[dict[str, Value]]:
-        """Return the values of each row by column."""
-        return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+        """Return each difference from the reference, then of each pair of learners, with all digits."""
+        means = {(row.metric, row.controller): row for row in self.rows}
+        records: list[dict[str, Value]] = []
+        for row in self.rows:
+            reference = None if row.difference is None else f"rule {self.reference}"
+            values = (*row[:4], reference, *row[4:], None, None, None)
+            records.append(dict(zip(RECORD_COLUMNS, values, strict=True)))
+        for pair in self.pairs:
+            found = pair.found.interval
+            compared = (
+                *means[pair.metric, pair.a][:4],
+                *(pair.b, found.estimate, found.low, found.high, found.method),
+                *(pair.found.p_value, pair.corrected_p, pair.needed),
+            )
+            records.append(dict(zip(RECORD_COLUMNS, compared, strict=True)))
+        return records
+
+    def rounded_pairs(self) -> list[tuple[Value, ...]]:
+        """Return the values of `PAIR_COLUMNS`, rounded as those of `rounded`."""
+        found = [pair.found.interval for pair in self.pairs]
+        decimals = _decimals(
+            (pair.metric, each.low, each.high) for pair, each in zip(self.pairs, found, strict=True)
+        )
+        return [
+            (
+                *(pair.metric, pair.a, pair.b),
+                *(
+                    _rounded(value, decimals.get(pair.metric))
+                    for value in (each.estimate, each.low, each.high)
+                ),
+                *pair.p_texts,
+                pair.needed,
+            )
+            for pair, each in zip(self.pairs, found, strict=True)
+        ]
 
     def rounded(self) -> list[tuple[Value, ...]]:
         """Return the rows with numbers rounded to `decimals`."""
         decimals = self.decimals
+        return [
+            tuple(
+                _rounded(value, decimals.get(row.metric)) if isinstance(value, float) else value
+                for value in row
+            )
+            for row in self.rows
+        ]
 
-        def rounded(metric: str, value: Value) -> Value:
-            if not isinstance(value, float) or metric not in decimals:
-                return value
-            return round(value, decimals[metric]) + 0.0  # no -0.0
 
-        return [tuple(rounded(row.metric, value) for value in row) for row in self.rows]
+def _decimals(intervals: Iterable[tuple[str, float | None, float | None]]) -> dict[str, int]:
+    """Return the decimals of each metric that show two significant digits of its narrowest interval."""
+    widths: dict[str, float] = {}
+    for metric, low, high in intervals:
+        if low is not None and high is not None and high > low:
+            widths[metric] = min(widths.get(metric, math.inf), high - low)
+    return {metric: 1 - math.floor(math.log10(width)) for metric, width in widths.items()}
+
+
+def _rounded(value: float, decimals: int | None) -> float:
+    return value if decimals is None else round(value, decimals) + 0.0  # no -0.0
 
 
 def comparison_table(comparison: Comparison, note: str = "") -> Table:
@@ -98,3 +210,31 @@ def comparison_table(comparison: Comparison, note: str = "") -> Table:
         cells,
         emphasised=frozenset(range(learners, len(cells))),
     )
+
+
+def pairs_table(pairs: Sequence[PairRow], name: str, caption: str) -> Table:
+    """Return pairs of learners as a table with one row per pair; `caption` is continued by `pairs_note`."""
+    import pandas as pd
+
+    cells, exact = [], []
+    for pair in pairs:
+        found = pair.found.interval
+        shown = with_interval(found.estimate, found.low, found.high, sign="+")
+        needed = MISSING if pair.needed is None else str(pair.needed)
+        cells.append([pair.a, pair.b, shown, *pair.p_texts, needed])
+        exact.append(
+            {
+                "controller": pair.a,
+                "minus": pair.b,
+                "difference": found.estimate,
+                "low": found.low,
+                "high": found.high,
+                "interval": found.method,
+                "p": pair.found.p_value,
+                "p_holm": pair.corrected_p,
+                "seeds_needed": pair.seeds_needed,
+            }
+        )
+    headings = ["controller", "minus", "difference [95%]", "p", "p (Holm)", "seeds needed"]
+    caption = f"{caption}. {pairs_note(pairs)}."
+    return Table(name, caption, headings, cells, pd.DataFrame(exact), words=frozenset({0, 1}))

@@ -1,8 +1,13 @@
 """Sections on learning curves, on all environments together, and on the metrics of the last evaluation."""
 
+from itertools import combinations
+
 import pandas as pd
 
-from headway.stats import frames, plots
+from headway.stats import frames, plots, ranks
+from headway.stats.samples import CONFIDENCE
+from headway.wording import counted
+from headway_launch.report.comparison_table import p_text
 from headway_launch.report.elements import (
     Part,
     Picture,
@@ -15,6 +20,7 @@ from headway_launch.report.elements import (
 from headway_launch.report.study_data import StudyData
 from headway_launch.studies.runs import rule_phases
 
+_SIGNIFICANCE = 1 - CONFIDENCE
 _COMPONENT = "reward_"
 _STAGES = "; vertical lines: the next stage of training begins"
 _RULE_PHASES = "; shaded: the rule of `start.rule` acts"
@@ -78,9 +84,6 @@ def across_environments(data: StudyData) -> Section | None:
     if len(data.tasks) == 1:
         return None
     title = "Aggregate over environments"
-    missing = _missing_scale(data)
-    if missing:
-        return Section("across", title, [f"Scores cannot be aggregated: {missing}."])
     elsewhere = [name for name in data.controllers if name not in data.trained_on_all_tasks]
     body: list[Part] = []
     if elsewhere:
@@ -88,30 +91,112 @@ def across_environments(data: StudyData) -> Section | None:
     if not data.trained_on_all_tasks:
         return Section("across", title, body)
     scores = data.scores[data.scores["controller"].isin(data.trained_on_all_tasks)]
+    if missing := _missing_scale(data):
+        means = scores.pivot_table("score", "task", "controller", sort=False)
+        body += [f"Scores cannot be aggregated: {missing}.", *_ranks(data.sign * means)]
+        return Section("across", title, body)
     scaled = frames.normalised_by_rules(scores.assign(score=data.sign * scores["score"]), "score", data.scale)
     found = frames.summary(scaled)
+    by_task = {task: frames.summary(scaled[scaled["task"] == task]) for task in data.tasks}
     rows = [
         [
             str(name),
+            *(
+                with_deviation(of_task["mean"][str(name)], of_task["std"][str(name)])
+                for of_task in by_task.values()
+            ),
             str(int(row["runs"])),
             with_deviation(row["mean"], row["std"]),
             with_interval(row["iqm"], row["iqm_low"], row["iqm_high"]),
         ]
         for name, row in found.iterrows()
     ]
+    of_tasks = {
+        f"{task}: {column}": of_task[column]
+        for task, of_task in by_task.items()
+        for column in ("mean", "std")
+    }
     profiles = plots.performance_profiles(frames.profiles(scaled), "normalised final score", data.styles)
     body += [
         Table(
             "across_environments",
-            f"Normalised final scores over {len(data.tasks)} environments: the random rule scores 0, the "
-            "best rule 1.",
-            ["controller", "runs", "mean ± std", "IQM [95%]"],
+            "Normalised final scores: the random rule scores 0, the best rule 1. Mean ± standard deviation "
+            "over seeds on each environment and over all runs, and interquartile mean (IQM) over the runs of "
+            f"all {len(data.tasks)} environments.",
+            ["controller", *data.tasks, "runs", "all: mean ± std", "all: IQM [95%]"],
             rows,
-            found.reset_index(),
+            found.assign(**of_tasks).reset_index(),
         ),
         Picture("profiles_across", "Performance profiles over all environments.", profiles),
     ]
+    means = pd.DataFrame({task: of_task["mean"] for task, of_task in by_task.items()}).T
+    body += [*_ranks(means), *_rank_tests(means)]
     return Section("across", title, body)
+
+
+def _ranks(scores: pd.DataFrame) -> list[Part]:
+    """Return the ranks of controllers on each task and on average; `scores`: tasks x controllers."""
+    tasks, controllers = scores.shape
+    if controllers < 2:
+        return []
+    found, tested = frames.rank_table(scores), ""
+    if controllers > 2:
+        friedman = ranks.friedman(scores.to_numpy())
+        tested = (
+            " Friedman's test of the hypothesis that the order is random on each of them: chi-squared "
+            f"{formatted(friedman.statistic)}, p {p_text(friedman.p_value)}."
+        )
+    return [
+        "Ranks take each environment as one observation, without the variation between seeds. Environments "
+        f"are few in most studies; the differences on each of them then say more.{tested}",
+        Table(
+            "ranks",
+            "Ranks of the mean final scores on each environment, 1 is the best, and their average over "
+            f"{tasks} environments.",
+            ["controller", *map(str, scores.index), "average rank"],
+            [
+                [str(name), *map(formatted, row)]
+                for name, row in zip(found.index, found.to_numpy(), strict=True)
+            ],
+            found.reset_index(),
+        ),
+    ]
+
+
+def _rank_tests(scores: pd.DataFrame) -> list[Part]:
+    """Return the tests of all pairs of controllers and the diagram of their ranks; `scores`: normalised,
+    tasks x controllers."""
+    tasks, controllers = scores.shape
+    if controllers < 2:
+        return []
+    found, pairs = frames.rank_table(scores), frames.rank_pairs(scores)
+    p_values = dict(zip(combinations(range(controllers), 2), pairs["p_holm"], strict=True))
+    groups = ranks.groups(controllers, lambda i, j: p_values[i, j] < _SIGNIFICANCE)
+    least = min(1.0, len(pairs) * 2.0 ** (1 - tasks))
+    few = f" p (Holm) cannot be below {p_text(least)} here." if least >= _SIGNIFICANCE else ""
+    return [
+        Table(
+            "rank_pairs",
+            f"Wilcoxon's signed-rank test of each pair over {tasks} environments, exact, with p corrected by "
+            f"Holm for {counted(len(pairs), 'pair')}; and the mean difference of the normalised scores.{few}",
+            ["controller", "minus", "mean difference", "p", "p (Holm)"],
+            [
+                [
+                    *(str(row["a"]), str(row["b"]), formatted(row["difference"], sign="+")),
+                    *(p_text(row["p"]), p_text(row["p_holm"])),
+                ]
+                for row in pairs.to_dict("records")
+            ],
+            pairs,
+            words=frozenset({0, 1}),
+        ),
+        Picture(
+            "ranks",
+            f"Critical-difference diagram: average ranks over {tasks} environments, best at the left. Bars "
+            "join learners of which no two differ (p (Holm) of Wilcoxon's test below 5%).",
+            plots.rank_diagram({str(name): rank for name, rank in found["average_rank"].items()}, groups),
+        ),
+    ]
 
 
 def episode_metrics_section(data: StudyData) -> Section:
@@ -168,7 +253,7 @@ def _missing_scale(data: StudyData) -> str:
     if not missing:
         return ""
     return (
-        f"{', '.join(missing)} {'lacks' if len(missing) == 1 else 'lack'} the random rule (score 0) or a "
+        f"{'; '.join(missing)} {'lacks' if len(missing) == 1 else 'lack'} the random rule (score 0) or a "
         "rule better than it (score 1) on the episodes of the curves; add `random` and at least one rule "
         "that beats it to `evaluation.rules`"
     )

@@ -10,6 +10,7 @@ from headway.stats import frames, plots
 from headway.stats.curves import FEWEST_POINTS
 from headway.wording import counted
 from headway_launch.experiments.start_line import rule_start, start_line
+from headway_launch.report.comparison_table import pairs_table
 from headway_launch.report.elements import (
     MISSING,
     Part,
@@ -189,17 +190,17 @@ def _interquartile_table(data: StudyData) -> Table:
             last = float(episodes.to_numpy().mean()) if episodes.size else float("nan")
             iqm = with_interval(found["iqm"], found["iqm_low"], found["iqm_high"])
             place = [task, str(name), str(seeds)]
-            rows.append([*place, iqm, formatted(last), *_against(data, against, seeds)])
+            rows.append([*place, iqm, formatted(last), *against_cells(data, against, seeds)])
             learner = {"environment": task, "controller": name, "last_evaluation": last}
             learner |= {str(column): value for column, value in found.items()}
-            exact.append(learner | _exact(against))
+            exact.append(learner | exact_against(against))
         for rule in data.ranked_rules(task):
             against, mean = data.rule_against_best(task, rule), float(data.by_episode(task, rule).mean())
             rules.add(len(rows))
             place = [task, f"rule {rule}", MISSING, MISSING]
-            rows.append([*place, formatted(mean), *_against(data, against, None)])
+            rows.append([*place, formatted(mean), *against_cells(data, against, None)])
             of_rule = {"environment": task, "controller": f"rule {rule}", "last_evaluation": mean}
-            exact.append({**of_rule, **_exact(against)})
+            exact.append({**of_rule, **exact_against(against)})
     names = ["controller", "seeds", f"IQM of final {data.metric_with_unit} [95%]", "last evaluation"]
     return data.table_by_task(
         "interquartile_means",
@@ -220,7 +221,7 @@ def improvement_section(data: StudyData) -> Section:
     body: list[Part] = []
     signed = data.scores.assign(score=data.sign * data.scores["score"])
     if len(data.controllers) > 1:
-        body += _improvements(data, signed)
+        body += [*_learner_pairs(data), *_improvements(data, signed)]
     else:
         body.append("The study has only one learner, so there is no other to compare it with.")
     for place, task in enumerate(data.tasks):
@@ -244,7 +245,31 @@ def improvement_section(data: StudyData) -> Section:
         profiles = frames.profiles(scores, thresholds)
         picture = plots.performance_profiles(profiles, f"final {data.metric_with_unit}", data.styles)
         body.append(Picture(f"profiles{data.file_suffix(place)}", caption, picture))
-    return Section("improvement", "Probability of improvement and performance profiles", body)
+    return Section("improvement", "Comparison of the learners", body)
+
+
+def _learner_pairs(data: StudyData) -> list[Part]:
+    """Return a table of the differences between learners, or the reason why there is none."""
+    if not data.learner_pairs:
+        return [
+            "The learners were not evaluated on common episodes of a last evaluation, so there are no paired "
+            "differences between them."
+        ]
+    return [
+        f"Learners differ if p (Holm) is below 5% with at least {SEEDS_FOR_A_CLAIM} seeds of both. The "
+        "number of seeds needed is for planning: it takes the observed difference, which few seeds estimate "
+        "badly, for the true one.",
+        *(
+            pairs_table(
+                found,
+                f"learner_pairs{data.file_suffix(data.tasks.index(task))}",
+                f"Differences between learners{data.where(task)} in the last evaluation: "
+                f"{data.readable(data.column)}, paired by episode, with 95% intervals by Student's t over "
+                "the seeds of both and the episodes",
+            )
+            for task, found in data.learner_pairs.items()
+        ),
+    ]
 
 
 def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
@@ -271,7 +296,7 @@ def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
     ]
 
 
-def _against(data: StudyData, against: DifferenceFromBest, seeds: int | None) -> list[str]:
+def against_cells(data: StudyData, against: DifferenceFromBest, seeds: int | None) -> list[str]:
     """Return cells: difference, sample of its interval, conclusion. `seeds` is None for rules."""
     found = against.interval
     if found is None:
@@ -286,7 +311,7 @@ def _against(data: StudyData, against: DifferenceFromBest, seeds: int | None) ->
     return [shown, found.method.removeprefix("t over "), conclusion]
 
 
-def _exact(against: DifferenceFromBest) -> dict[str, float | str]:
+def exact_against(against: DifferenceFromBest) -> dict[str, float | str]:
     found = against.interval
     if found is None:
         return {}
@@ -315,8 +340,9 @@ def _starts(data: StudyData) -> list[Part]:
     for (task, controller), members in data.cells.items():
         folders = [Path(row.directory) for row in members]
         name = f"{controller}{data.where(task)}"
-        lines.append(start_line(name, data.runs.root, folders, data.metric, with_rule=False))
-        if found := rule_start(data.runs.root, folders, data.metric):
+        store = folders[0].parents[1]
+        lines.append(start_line(name, store, folders, data.metric, with_rule=False))
+        if found := rule_start(store, folders, data.metric):
             values = map(formatted, (found.imitated, found.played))
             rows.append([task, controller, found.rule, f"{found.env_steps:,}", *values])
             exact.append({"environment": task, "controller": controller, **asdict(found)})

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from headway.store.query import LABELS as RUN_LABELS
 from headway.store.query import RunSelection
 from headway.wording import counted, readable_metric
 from headway_launch.experiments.parameters import flat
+from headway_launch.report.comparison_table import PairRow, pair_rows
 from headway_launch.report.elements import Table
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference, gap_lines
 from headway_launch.studies.runs import (
@@ -55,9 +57,10 @@ def mean_of_known(values: pd.Series) -> MeanStd:
 
 
 class StudyData:
-    """Data of a study's report; each part is read and computed when it is first used.
+    """Data of the report of a study, or of several; each part is read and computed when it is first used.
 
-    Raises HeadwayError if the study does not exist, has no finished run, or a finished run lacks the metric.
+    `others`: store and name of further studies. Raises HeadwayError if a study does not exist, has no
+    finished run or shares a cell with another, or if a finished run lacks the metric.
     """
 
     def __init__(
@@ -67,10 +70,20 @@ class StudyData:
         metric: str | None = None,
         lower_is_better: bool = False,
         low: float | None = None,
+        others: Sequence[tuple[Path, str]] = (),
     ) -> None:
-        self.study, self.lower_is_better, self.low = study, lower_is_better, low
-        self.all_runs = RunSelection(root, tuple(study_runs(root, study)))
-        included, self.excluded = included_runs(self.all_runs.rows, study)
+        self.lower_is_better, self.low = lower_is_better, low
+        self.studies = (study, *(other for _, other in others))
+        every: list[RunRow] = []
+        included: list[RunRow] = []
+        self.excluded: list[str] = []
+        for store, name in ((root, study), *others):
+            rows = study_runs(store, name)
+            chosen, excluded = included_runs(rows, name)
+            _require_other_cells(every, rows)
+            every, included = [*every, *rows], [*included, *chosen]
+            self.excluded += [f"{each} of {name}" if others else each for each in excluded]
+        self.all_runs = RunSelection(root, tuple(every))
         self.runs = RunSelection(root, tuple(included), beside=self.all_runs.rows)
         self.metric = metric or f"evaluation_{common_mode(self.runs)}/return"
         group, _, self.column = self.metric.rpartition("/")
@@ -81,6 +94,11 @@ class StudyData:
             )
         self.mode = group.removeprefix("evaluation_")
         self.curves = curves_of(self.runs, self.metric)
+
+    @property
+    def title(self) -> str:
+        """Names of the studies."""
+        return f"{'Study' if len(self.studies) == 1 else 'Studies'} {', '.join(self.studies)}"
 
     @property
     def sign(self) -> int:
@@ -356,10 +374,38 @@ class StudyData:
         best = self.by_episode(task, self.best_rules[task])
         return self.paired(task, self.by_episode(task, rule).to_frame().T, best)
 
+    @cached_property
+    def learner_pairs(self) -> dict[str, list[PairRow]]:
+        """Comparison of each pair of learners by task, on the episodes of the last evaluation that all
+        learners of the task have in common; tasks for which it is unknown are absent."""
+        found = {task: self._learner_pairs(task) for task in self.tasks}
+        return {task: pairs for task, pairs in found.items() if pairs}
+
+    def _learner_pairs(self, task: str) -> list[PairRow]:
+        if self._several_roots(task):
+            return []
+        learned = {name: self.by_seed(task, name, self.column) for name in self.on(task)}
+        if any(episodes.empty for episodes in learned.values()):
+            return []
+        whole = {name: episodes.dropna(axis="columns") for name, episodes in learned.items()}
+        common = [
+            seed
+            for seed in next(iter(whole.values())).columns
+            if all(seed in episodes.columns for episodes in whole.values())
+        ]
+        if len(common) < 2:
+            return []
+        values = {name: episodes[common].to_numpy().tolist() for name, episodes in whole.items()}
+        return pair_rows(task, values, combinations(values, 2))
+
+    def _several_roots(self, task: str) -> bool:
+        """Whether the evaluations of a task's runs had different episodes."""
+        evaluations = (configuration(row.directory)["evaluation"] for row in self._runs_on(task))
+        return len({int(evaluation["seed"]) for evaluation in evaluations}) > 1
+
     def paired(self, task: str, learned: pd.DataFrame, best: "pd.Series[float]") -> DifferenceFromBest:
         """Return a learner's values (as from `by_seed`) minus a rule's on their common episodes."""
-        evaluations = (configuration(row.directory)["evaluation"] for row in self._runs_on(task))
-        if len({int(evaluation["seed"]) for evaluation in evaluations}) > 1:
+        if self._several_roots(task):
             return DifferenceFromBest(None, "the cells were evaluated on different episodes")
         common = [seed for seed in learned.columns if seed in best.index]
         whole = learned[common].dropna(axis="columns")
@@ -388,6 +434,17 @@ class StudyData:
         for name in wanted:
             found[name] = pd.to_numeric(found[name]) if name in found else float("nan")
         return found
+
+
+def _require_other_cells(runs: Sequence["RunRow"], others: Sequence["RunRow"]) -> None:
+    """Raise HeadwayError if another study has runs of a cell of these studies."""
+    studies = {row.cell: row.study for row in runs}
+    for row in others:
+        if row.cell in studies:
+            raise HeadwayError(
+                f"studies {studies[row.cell]} and {row.study} both have runs of {row.cell}, with the same "
+                "settings: a report cannot tell them apart, but `headway compare` can"
+            )
 
 
 def _stage_ends(config: Mapping[str, Any]) -> tuple[int, ...]:

@@ -2,8 +2,10 @@
 
 import pandas as pd
 
+from headway.stats.samples import CONFIDENCE
 from headway.store.provenance import provenance
 from headway.wording import counted
+from headway_launch.report.absolute_metric import absolute_metric_section
 from headway_launch.report.costs import energy_section, tradeoff_section
 from headway_launch.report.elements import Report, Section, formatted, scale_of, with_interval
 from headway_launch.report.learning import across_environments, curves_section, episode_metrics_section
@@ -18,6 +20,9 @@ from headway_launch.report.setup_section import setup_section
 from headway_launch.report.study_data import StudyData
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
+_MAX_PAIRS = 3
+"""Maximum number of pairs of learners that the summary names."""
+
 
 def report_of(data: StudyData, command: str) -> Report:
     """Return the report of a study, which `command` makes."""
@@ -26,6 +31,7 @@ def report_of(data: StudyData, command: str) -> Report:
         final_reward_section(data),
         *published_sections(data),
         interquartile_section(data),
+        absolute_metric_section(data),
         improvement_section(data),
         curves_section(data),
         across_environments(data),
@@ -37,8 +43,8 @@ def report_of(data: StudyData, command: str) -> Report:
         _definitions(),
     ]
     return Report(
-        title=f"Study {data.study}",
-        subtitle=f"{', '.join(data.tasks)}: {counted(len(data.runs.rows), 'finished run')} of "
+        title=data.title,
+        subtitle=f"{'; '.join(data.tasks)}: {counted(len(data.runs.rows), 'finished run')} of "
         f"{counted(len(data.controllers), 'learner')}, and "
         f"{counted(data.rules['rule'].nunique(), 'classical rule')}",
         summary=_summary(data),
@@ -61,7 +67,7 @@ def _writer() -> str:
 def _summary(data: StudyData) -> list[str]:
     sentences = []
     for task in data.tasks:
-        sentences += [_best_learner(data, task), *_against_rules(data, task)]
+        sentences += [_best_learner(data, task), *_learner_pairs(data, task), *_against_rules(data, task)]
     fewest = min(len(members) for members in data.cells.values())
     if fewest < SEEDS_FOR_A_CLAIM:
         sentences.append(
@@ -103,6 +109,26 @@ def _best_learner(data: StudyData, task: str) -> str:
         f"{line} The final {data.metric_label} below is another value: the mean over the last 20% of the "
         f"curve, with {data.curve_episodes(task)} per evaluation, the first of these."
     )
+
+
+def _learner_pairs(data: StudyData, task: str) -> list[str]:
+    """Say which pairs of learners differ; nothing if the pairs were not compared."""
+    pairs = data.learner_pairs.get(task, [])
+    differ = [
+        (pair.a, pair.b) if data.sign * pair.found.estimate > 0 else (pair.b, pair.a)
+        for pair in pairs
+        if pair.corrected_p < 1 - CONFIDENCE and min(pair.found.seeds) >= SEEDS_FOR_A_CLAIM
+    ]
+    if not pairs:
+        return []
+    number = f"{len(differ)} of {counted(len(pairs), 'pair')}" if differ else "no pair"
+    which = ", ".join(f"`{better}` is better than `{worse}`" for better, worse in differ[:_MAX_PAIRS])
+    more = "; ..." if len(differ) > _MAX_PAIRS else ""
+    verb = "differs" if len(differ) < 2 else "differ"
+    return [
+        f"Of the learners{data.where(task)}, {number} {verb} in the last evaluation, with p corrected by "
+        f"Holm below 5% and at least {SEEDS_FOR_A_CLAIM} seeds of both{': ' if differ else ''}{which}{more}."
+    ]
 
 
 def _against_rules(data: StudyData, task: str) -> list[str]:
@@ -172,7 +198,14 @@ def _definitions() -> Section:
             "Agarwal et al. 2021, Deep RL at the Edge of the Statistical Precipice, arXiv:2108.13264.",
             "Intervals of differences: Student's t over episodes for one seed or a rule; for several "
             "seeds, over seeds and episodes: the squared half widths over seeds and over episodes are "
-            "added (Banerjee 1961, Sankhya A 23).",
+            "added (Banerjee 1961, Sankhya A 23). Between learners, whose seeds are independent: over the "
+            "seeds of each and over episodes, added likewise; p is the smallest value at which such an "
+            "interval excludes 0, corrected for the number of pairs by Holm 1979, Scandinavian Journal of "
+            "Statistics 6. Seeds needed: the power of that interval, as Colas et al. 2018, arXiv:1806.08295, "
+            "compute it for Welch's t.",
+            "Average ranks over environments: Demsar 2006, JMLR 7, with Friedman's test by permutation and "
+            "exact Wilcoxon signed-rank tests of the pairs (Benavoli et al. 2016, JMLR 17). Absolute metric: "
+            "Gorsane et al. 2022, arXiv:2209.10485.",
             "Energy and CO2: CodeCarbon, codecarbon.io; the machine's energy is divided among the runs by "
             "their CPU seconds, memory and share of the GPU.",
         ],

@@ -51,6 +51,11 @@ class StoredRun:
         return cls(directory, RunRecord.read(directory), mapping, RunPlan.read(directory))
 
     @property
+    def store(self) -> Path:
+        """Folder of the store."""
+        return Path(self.mapping["store"]["root"])
+
+    @property
     def configuration(self) -> str:
         """The configuration without the seed, as JSON that is equal for all runs of one configuration."""
         rest = {key: value for key, value in self.mapping.items() if key != "seed"}

@@ -18,7 +18,7 @@ from headway.contracts.errors import HeadwayError
 from headway.store.cell_names import cell_names
 from headway.store.index import RunIndex, RunRow
 from headway.store.query import newest_runs
-from headway.store.run_folder import rules_file
+from headway.store.run_folder import best_file, rules_file
 from headway.store.tracking.sync import local_experiment
 from headway.wording import counted
 from headway_launch.report.elements import formatted
@@ -96,7 +96,8 @@ class Pages:
 
         with self._making:
             rows = RunIndex(self._root).rows(study)
-            files = {rules_file(self._root, study, row.cell) for row in rows}
+            cells = {row.cell for row in rows}
+            files = [file(self._root, study, cell) for file in (rules_file, best_file) for cell in cells]
             rules = sorted(file.stat().st_mtime_ns for file in files if file.exists())
             made_from, text = self._reports.get(study, ((), ""))
             if not rows or (rows, rules) != made_from:

@@ -196,8 +196,9 @@ class RunSelection:
         import pandas as pd
 
         rows: list[dict[str, Any]] = []
-        for cell, study in dict.fromkeys((row.cell, row.study) for row in self.rows):
-            path = rules_file(self.root, study, cell)
+        stored = {(row.cell, row.study): Path(row.directory).parents[1] for row in self.rows}
+        for (cell, study), root in stored.items():
+            path = rules_file(root, study, cell)
             if path.exists():
                 for rule, episodes in read_json(path).items():
                     rows += [{"task": self.names[cell].task, "rule": rule, **episode} for episode in episodes]

@@ -201,6 +201,15 @@ def rules_file(root: Path, study: str, cell: str) -> Path:
     return root / _slug(study) / f"{cell}.rules.json"
 
 
+def best_file(root: Path, study: str, cell: str) -> Path:
+    """Return the path of the JSON file with new episodes of the best policies of a cell's runs, and of rules.
+
+    Keys: `seed` (root of the episodes' seeds), `mode`, `rules` (rule name -> rows), `runs` (run name ->
+    `iteration` of the policies and `episodes`, their rows).
+    """
+    return root / _slug(study) / f"{cell}.best.json"
+
+
 def cell_summary_file(root: Path, study: str, cell: str) -> Path:
     """Return the path of the JSON file with rule returns, session energy and status of a cell."""
     return root / _slug(study) / f"{cell}.summary.json"

@@ -1,4 +1,4 @@
-"""`headway compare` of rules alone: nothing was trained, and no store is asked for."""
+"""`headway compare` of rules alone, for which no store is asked, and of studies of several stores."""
 
 import csv
 import json
@@ -6,12 +6,15 @@ import math
 import re
 import shlex
 from pathlib import Path
+from shutil import copytree
 
 import pytest
 from command_lines import Refused, RowsOf, RunOutput
 
+from headway.contracts.errors import HeadwayError
 from headway.registry import env_entry
 from headway.rollout.episodes import evaluate_rule
+from headway_launch.commands.arguments import named_studies
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
 GAME = ("env=tracking", "env.args.steps=7")
@@ -33,7 +36,7 @@ def test_rules_are_compared_on_the_days_of_an_environment(
             assert float(rows[metric, f"rule {rule}"]["mean"]) == pytest.approx(mean, rel=1e-12)
     assert len(rows) == 4
     assert float(rows["return", "rule random"]["95% high"]) < 0
-    assert rows["return", "rule optimal"]["minus optimal"] == ""
+    assert rows["return", "rule optimal"]["difference"] == ""
     assert "train at least" not in shown.err
     assert "4 episodes: the intervals assume a normal distribution" in shown.err
     assert list(tmp_path.iterdir()) == []
@@ -49,7 +52,7 @@ def test_the_table_has_two_digits_of_the_interval_and_json_all(output: RunOutput
     for row in shown:
         for name in ("mean", "minus optimal", "95% low", "95% high"):
             if row[name]:
-                value = exact[row["controller"]][name]
+                value = exact[row["controller"]]["difference" if name == "minus optimal" else name]
                 assert float(row[name]) == pytest.approx(value, abs=0.5001 * unit)
                 assert float(row[name]) / unit == pytest.approx(round(float(row[name]) / unit))
 
@@ -71,7 +74,7 @@ def test_a_table_for_a_page_has_a_row_per_controller(form: str, output: RunOutpu
         found = exact[metric, "rule random"]
         unit = 10.0 ** (math.floor(math.log10(found["95% high"] - found["95% low"])) - 1)
         numbers = re.findall(r"[-+]?[\d.]+", " ".join(rows["rule random"][place:][:2]).replace("$-$", "-"))
-        wanted = [found[name] for name in ("mean", "minus optimal", "95% low", "95% high")]
+        wanted = [found[name] for name in ("mean", "difference", "95% low", "95% high")]
         assert [float(number) for number in numbers] == pytest.approx(wanted, abs=0.5001 * unit)
 
 
@@ -94,6 +97,9 @@ def test_a_table_for_a_page_has_a_row_per_controller(form: str, output: RunOutpu
         ([*GAME, "--episodes", "1"], "--episodes 1: must be at least 2, because an interval needs two"),
         ([*GAME, "--rules", ","], "--rules is empty"),
         ([*GAME, "--seed", "-1"], "--seed -1: must not be negative"),
+        ([*GAME, "bus"], "'bus' has no effect if rules are compared"),
+        (["bus", "--keep"], "--keep stores the episodes of the best policies; add --best, or omit it"),
+        (["other/runs:bus"], "there is no store in 'other/runs'"),
     ],
 )
 def test_what_cannot_be_compared_is_one_line(words: list[str], line: str, refused: Refused) -> None:
@@ -128,3 +134,55 @@ def test_lookahead_is_played_where_it_is_named_and_is_no_reference(output: RunOu
     assert [row[1] for row in rows] == ["rule always_wait", "rule lookahead:always_wait:2:1"]
     assert float(rows[1][4]) > 0
     assert "gap from always_wait, the best of the rules played, to lookahead:always_wait:2:1" in shown.err
+
+
+def test_a_study_is_named_by_its_store_too(tmp_path: Path) -> None:
+    for folder in ("runs", "old/runs", "older/runs"):
+        (tmp_path / folder).mkdir(parents=True)
+    assert named_studies(["bus", "merge", "old/runs:bus"], "runs") == {
+        "bus": (Path("runs"), "bus"),
+        "merge": (Path("runs"), "merge"),
+        "old/runs:bus": (Path("old/runs"), "bus"),
+    }
+    assert list(named_studies(["bus", f"{tmp_path}/old/runs:bus"], "runs")) == ["bus", "FOLDER/runs:bus"]
+    far = [f"{tmp_path}/old/runs:bus", f"{tmp_path}/older/runs:bus"]
+    assert list(named_studies(["bus", *far], "runs")) == ["bus", "FOLDER/runs:bus", far[1]]
+    assert named_studies(["a: b"], "runs") == {"a: b": (Path("runs"), "a: b")}
+    with pytest.raises(HeadwayError, match="study 'bus' is named twice"):
+        named_studies(["bus", "./runs:bus"], "runs")
+
+
+@pytest.mark.slow
+def test_learners_of_two_stores_are_compared_and_their_best_policies_kept(
+    trained: Path, tmp_path: Path, output: RunOutput, refused: Refused
+) -> None:
+    copytree(trained, "runs")
+    copytree(trained, "old/runs")
+    asked = ("compare", "pair", "old/runs:pair", "--episodes", "3", "--rules", "random", "--best")
+    learners = ["ippo (pair), best policies", "ippo (old/runs:pair), best policies"]
+    rows = json.loads(output(*asked, "--format", "json", "--keep").out)
+    assert [row["controller"] for row in rows] == ["rule random", *learners, learners[0]]
+    assert rows[1]["mean"] == rows[2]["mean"]
+    pair = rows[3]
+    assert (pair["reference"], pair["difference"], pair["p"]) == (learners[1], 0.0, 1.0)
+    assert pair["seeds needed"] == ">1,000"
+    for store in ("runs", "old/runs"):
+        [path] = (tmp_path / store / "pair").glob("*.best.json")
+        kept = json.loads(path.read_text())
+        assert (kept["seed"], kept["mode"], list(kept["rules"])) == (2_000_003, "greedy", ["random"])
+        returns = [row["return"] for of_run in kept["runs"].values() for row in of_run["episodes"]]
+        assert (len(kept["runs"]), len(returns)) == (2, 6)
+        assert sum(returns) / 6 == pytest.approx(rows[1]["mean"])
+    output("report", "pair", "--format", "csv", "--output", "tables-of-pair")
+    text = Path("tables-of-pair/tables/absolute_metric.csv").read_text(encoding="utf-8")
+    table = list(csv.DictReader(text.splitlines()))
+    assert float(table[0]["mean"]) == pytest.approx(rows[1]["mean"])
+    output("archive", "pair")
+    output("report", "pair", "--archive", "pair.zip", "--format", "csv", "--output", "of-archive")
+    assert Path("of-archive/tables/absolute_metric.csv").read_text(encoding="utf-8") == text
+    line = refused("compare", "pair", "--best", "--keep", "--archive", "pair.zip")
+    assert "--keep has no effect on an archive" in line
+    page = output("compare", "pair", "old/runs:pair", "--episodes", "2", "--format", "markdown").out
+    assert "Differences between learners, return. p (Holm): of a single pair." in " ".join(page.split())
+    line = refused("compare", "pair", "--best", "--keep", "--seed", "1000003")
+    assert "--keep: the episodes of --seed 1000003 selected the policies of ippo" in line

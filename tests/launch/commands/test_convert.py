@@ -10,8 +10,9 @@ import pytest
 from command_lines import Refused, RunOutput
 
 from headway.store.atomic_files import write_json, write_text
+from headway.store.index import RunIndex
 from headway.store.parquet_log import RunLog
-from headway.store.run_folder import Process, RunRecord, create_run_folder
+from headway.store.run_folder import Process, RunRecord, best_file, create_run_folder
 from headway_launch.commands.main import run
 
 STARTED = "2026-01-02T03:04:05+00:00"
@@ -149,6 +150,24 @@ def test_marl_eval_has_the_tree_that_the_package_documents() -> None:
     assert tree == {"bus": {"bus": {"ippo": expected, "mappo": expected}}}
     for whole in tree["bus"]["bus"]["ippo"].values():
         assert list(whole)[-1] == "absolute_metrics"  # which it takes by its place
+
+
+def test_absolute_metrics_are_of_the_best_policies_if_all_runs_have_them() -> None:
+    for algo in ("ippo", "mappo"):
+        _keep_evaluated(algo, 3)
+    rows = RunIndex(Path("runs")).rows("marl")
+    for number, row in enumerate(rows):
+        runs = {row.run_id: {"iteration": 0, "episodes": [{"return": 90 + number, "mean_wait_min": 6}] * 2}}
+        kept = {"seed": 5, "mode": "greedy", "rules": {}, "runs": runs}
+        write_json(best_file(Path("runs"), "marl", row.cell), kept)
+        assert run(["convert", "marl", "--to", "marl-eval", "--output", f"tree-{number}"]) == 0
+    first, last = (json.loads(Path(f"tree-{number}", "metrics.json").read_text()) for number in (0, 1))
+    assert len(first["bus"]["bus"]["ippo"]["seed_3"]["absolute_metrics"]["return"]) == 4
+    found = {name: whole["seed_3"]["absolute_metrics"] for name, whole in last["bus"]["bus"].items()}
+    assert found == {
+        row.algorithm: {"return": [90 + number] * 2, "mean wait min": [6, 6]}
+        for number, row in enumerate(rows)
+    }
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import pytest
@@ -102,7 +103,14 @@ def test_a_study_is_drawn(searched: Searched, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched, output: RunOutput) -> None:
     shown = output("compare", "search_toy_tracking", "--store", str(searched.root), "--episodes", "4")
-    header, *rows = [line.split("\t") for line in shown.out.splitlines() if "\t" in line]
+    header, *lines = [line.split("\t") for line in shown.out.splitlines() if "\t" in line]
+    rows = [line for line in lines if len(line) == len(header)]
+    paired, *pairs = lines[len(rows) :]
+    learners = [row[1] for row in rows if not row[1].startswith("rule ")]
+    assert [tuple(pair[1:3]) for pair in pairs] == list(combinations(learners, 2))
+    assert paired[-3:] == ["p", "p (Holm)", "seeds needed"]
+    assert [pair[-1] for pair in pairs] == [""] * 6
+    assert "p (Holm): corrected by Holm for 6 pairs" in shown.err
     assert (header[4], header[7]) == ("minus optimal", "interval")
     assert {"rule random", "rule optimal"} < {row[1] for row in rows}
     assert len(rows) == 6
@@ -119,6 +127,7 @@ def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched, outpu
 def test_rules_to_compare_with_are_chosen(searched: Searched, rows_of: RowsOf) -> None:
     words = ("--store", str(searched.root), "--episodes", "2", "--rules", "random")
     header, *rows = rows_of("compare", "search_toy_tracking", *words)
+    rows = [row for row in rows if len(row) == len(header)]
     assert header[4] == "minus random"
     assert [row[1] for row in rows if row[1].startswith("rule ")] == ["rule random"]
 

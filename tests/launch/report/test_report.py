@@ -19,6 +19,9 @@ from sections import section_of, tables, words
 
 from headway.contracts.errors import HeadwayError
 from headway.stats.intervals import paired_difference_over_seeds
+from headway.stats.pairs import LearnerDifference
+from headway.store.atomic_files import write_json
+from headway.store.run_folder import RunRecord, best_file
 from headway_launch.commands.main import run as run_command
 from headway_launch.report import reward_tables
 from headway_launch.report.costs import tradeoff_section
@@ -129,7 +132,8 @@ def test_both_reward_sections_show_the_stored_values(two: Two) -> None:
 
 def test_every_result_of_the_summary_names_its_episodes(two: Two, keep_run: Keep, root: Path) -> None:
     report = two.report
-    best, against, *_ = report.summary
+    best, pairs, against, *_ = report.summary
+    assert pairs.startswith("Of the learners, no pair differs in the last evaluation")
     assert best.endswith(
         "the highest mean return in the last evaluation: 7.500 over 3 seeds (4 episodes). The final reward "
         "below is another value: the mean over the last 20% of the curve, with 2 episodes per evaluation, "
@@ -435,7 +439,7 @@ def test_environments_are_aggregated_if_rules_give_them_a_scale(keep_run: Keep, 
         keep_run((*MATRIX, "algo=ippo"), seed, 2.0, rules={"random": 0.0, "optimal": 3.0})
         keep_run((*MATRIX, "algo=ia2c"), seed, 1.0, rules={"random": 0.0, "optimal": 3.0})
     report = made(root)
-    assert report.subtitle == "tracking, matrix: 6 finished runs of 2 learners, and 2 classical rules"
+    assert report.subtitle == "tracking; matrix: 6 finished runs of 2 learners, and 2 classical rules"
     [row] = table(report, "across_environments").to_dict("records")
     # On the curves' episodes 0 and 1, tracking's rules score -19.5 and 10.5, matrix's 0.5 and 3.5.
     assert (row["controller"], row["mean"]) == ("ippo", pytest.approx((1 + 0.5) / 2))
@@ -452,11 +456,139 @@ def test_environments_without_a_scale_are_not_aggregated(keep_run: Keep, root: P
     assert not any("across_environments" in tables(section) for section in report.sections)
 
 
+def test_learners_are_ranked_over_environments(keep_run: Keep, root: Path) -> None:
+    """Normalised by the rules: tracking's score 0 at -19.5 and 1 at 10.5, matrix's at 0.5 and 3.5."""
+    for seed in range(2):
+        for algorithm, of_tracking, of_matrix in (
+            ("ippo", 9.0, 2.0),
+            ("ia2c", 6.0, 1.0),
+            ("mappo", 3.0, 3.0),
+        ):
+            keep_run((*TRACKING, f"algo={algorithm}"), seed, of_tracking, rules=RULES)
+            rules = {"random": 0.0, "optimal": 3.0}
+            keep_run((*MATRIX, f"algo={algorithm}"), seed, of_matrix, rules=rules)
+    report = made(root)
+    ranked = table(report, "ranks").set_index("controller")
+    assert ranked["average_rank"].to_dict() == {"ippo": 1.5, "mappo": 2.0, "ia2c": 2.5}
+    assert ranked.loc["mappo", ["tracking", "matrix"]].tolist() == [3, 1]
+    pairs = table(report, "rank_pairs").set_index(["a", "b"])
+    expected = ((9.0 - 3.0) / 30 + (2.0 - 3.0) / 3) / 2
+    assert pairs.loc[("ippo", "mappo"), "difference"] == pytest.approx(expected)
+    assert pairs["p_holm"].tolist() == [1.0, 1.0, 1.0]
+    [shown] = [
+        part for section in report.sections for part in tables(section).values() if part.name == "rank_pairs"
+    ]
+    assert shown.caption.endswith("p (Holm) cannot be below 1.000 here.")
+    across = table(report, "across_environments").set_index("controller")
+    assert across.loc["ippo", "matrix: mean"] == pytest.approx((2.0 - 0.5) / 3)
+    assert "chi-squared 1, p " in text_of(report)  # 12 2 / (3 4) (0.5^2 + 0 + 0.5^2)
+    names = [text.get_text() for text in axes_of(report)["ranks"].texts]
+    assert names == ["ippo (1.5)", "mappo (2)", "ia2c (2.5)"]
+
+
+def test_ranks_need_no_scale(keep_run: Keep, root: Path) -> None:
+    for algorithm, cost in (("ippo", 2.0), ("ia2c", 3.0)):
+        keep_run((*TRACKING, f"algo={algorithm}"), 0, cost, wait=cost)
+        keep_run((*MATRIX, f"algo={algorithm}"), 0, cost, wait=cost)
+    report = made(root, metric="evaluation_greedy/wait", lower=True)
+    ranked = table(report, "ranks").set_index("controller")["average_rank"]
+    assert ranked.to_dict() == {"ippo": 1.0, "ia2c": 2.0}
+    assert not any("rank_pairs" in tables(section) for section in report.sections)
+
+
+def test_learners_are_compared_in_pairs_by_their_seeds_and_common_episodes(two: Two) -> None:
+    [row] = table(two.report, "learner_pairs").to_dict("records")
+    learned = {
+        "ia2c": [[2.0 * seed + episode for episode in range(4)] for seed in range(3)],
+        "ippo": [[5.0 + seed + episode for episode in range(4)] for seed in range(3)],
+    }
+    expected = LearnerDifference.of(*learned.values())
+    assert (row["controller"], row["minus"]) == ("ia2c", "ippo")
+    assert [row[name] for name in ("difference", "low", "high")] == pytest.approx(
+        [expected.interval.estimate, expected.interval.low, expected.interval.high]
+    )
+    assert row["p"] == row["p_holm"] == pytest.approx(expected.p_value)
+    assert row["seeds_needed"] == expected.seeds_needed()
+    assert "p (Holm): of a single pair. Seeds needed: seeds per learner" in text_of(two.report)
+
+
+def test_the_summary_says_which_learners_differ_with_enough_seeds(keep_run: Keep, root: Path) -> None:
+    for seed in range(10):
+        keep_run((*TRACKING, "algo=ippo"), seed, 9.0 + seed % 3)
+        keep_run((*TRACKING, "algo=ia2c"), seed, 2.0 + seed % 2)
+    assert made(root).summary[1] == (
+        "Of the learners, 1 of 1 pair differs in the last evaluation, with p corrected by Holm below 5% and "
+        "at least 10 seeds of both: `ippo` is better than `ia2c`."
+    )
+    costs = report_of(StudyData(root, "study", lower_is_better=True), "headway report").summary[1]
+    assert costs.endswith("`ia2c` is better than `ippo`.")
+    keep_run((*TRACKING, "algo=mappo"), 0, 99.0)
+    assert "Of the learners, 1 of 3 pairs differs" in made(root).summary[1]
+
+
+def test_a_report_of_several_studies_joins_their_environments(
+    keep_run: Keep, keep_run_in: Callable[[Path], Keep], root: Path, tmp_path: Path
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    for seed in range(2):
+        keep_run((*TRACKING, "algo=ippo"), seed, 1.0, rules=RULES)
+        rules = {"random": 0.0, "optimal": 3.0}
+        keep_run_in(elsewhere)((*MATRIX, "algo=ippo"), seed, 2.0, study="game", rules=rules)
+    keep_run_in(elsewhere)((*MATRIX, "algo=ippo"), 2, 2.0, "FAILED", study="game")
+    report = report_of(StudyData(root, "study", others=[(elsewhere, "game")]), "headway report")
+    assert report.title == "Studies study, game"
+    assert report.subtitle == "tracking; matrix: 4 finished runs of 1 learner, and 2 classical rules"
+    assert "Excluded runs: 1 not finished (1 FAILED) of game." in report.summary
+    assert table(report, "across_environments")["mean"].tolist() == pytest.approx(
+        [((1 + 19.5) / 30 + (2 - 0.5) / 3) / 2]
+    )
+
+
+def test_studies_with_a_cell_in_common_are_refused(keep_run: Keep, root: Path, refused: Refused) -> None:
+    for study in ("study", "again"):
+        keep_run((*TRACKING, "algo=ippo"), 0, 1.0, study=study)
+    line = refused("report", "study", "again", "--store", str(root))
+    assert "studies study and again both have runs of tracking-ippo-" in line
+    assert "a report cannot tell them apart, but `headway compare` can" in line
+    assert "study 'study' is named twice" in refused("report", "study", "study", "--store", str(root))
+    assert "there is no store in 'no/runs'" in refused("report", "no/runs:study", "--store", str(root))
+
+
+def test_the_absolute_metric_is_of_the_best_policies_on_new_episodes(keep_run: Keep, root: Path) -> None:
+    folders = [keep_run((*TRACKING, "algo=ippo"), seed, 5.0 + seed, rules=RULES) for seed in range(3)]
+    assert not any(section.anchor == "absolute_metric" for section in made(root).sections)
+    values = {0: [1.0, 2.0, 6.0], 1: [4.0, 4.0, 4.0]}
+    kept = {
+        folders[seed].name: {"iteration": 2, "episodes": [{"return": value} for value in own]}
+        for seed, own in values.items()
+    }
+    rules = {"optimal": [{"return": value} for value in (3.0, 3.0, 4.0)]}
+    record = RunRecord.read(folders[0])
+    path = best_file(root, "study", record.cell)
+    write_json(path, {"seed": 7, "mode": "greedy", "rules": rules, "runs": kept})
+    report = made(root)
+    found = table(report, "absolute_metric").set_index("controller")
+    ippo = found.loc["ippo"]
+    assert (ippo["runs"], ippo["mean"], ippo["std"]) == (2, 3.5, pytest.approx(math.sqrt(0.5)))
+    expected = paired_difference_over_seeds(list(values.values()), [[3.0, 3.0, 4.0]] * 2)
+    assert ippo["minus_best_rule"] == pytest.approx(expected.estimate)
+    assert ippo["minus_best_rule_high"] == pytest.approx(expected.high)
+    assert found.loc["rule optimal", "mean"] == pytest.approx(10 / 3)
+    assert "ippo: 2 of its 3 seeds; Evaluated: 3 episodes per seed." in text_of(report)
+    path.write_text('{"mode": "greedy"}')
+    with pytest.raises(HeadwayError, match=r"is damaged or lacks return; write it again with .*--keep"):
+        made(root)
+    path.write_text('{"mode": "sampled"}')
+    assert not any(section.anchor == "absolute_metric" for section in made(root).sections)
+
+
 def test_different_evaluation_episodes_give_no_difference(keep_run: Keep, root: Path) -> None:
     keep_run((*TRACKING, "algo=ippo"), 0, 1.0, rules=RULES)
     keep_run((*TRACKING, "algo=ia2c", "evaluation.seed=5"), 0, 1.0, rules=RULES)
     line = "best rule is given for tracking: the cells were evaluated on different episodes"
-    assert line in text_of(made(root))
+    told = text_of(made(root))
+    assert line in told
+    assert "not evaluated on common episodes of a last evaluation" in told
 
 
 def test_a_single_episode_gives_no_difference(keep_run: Keep, root: Path) -> None:

@@ -21,6 +21,7 @@ from headway.store.run_folder import (
     SUMMARY,
     Process,
     RunRecord,
+    best_file,
     cell_summary_file,
     rules_file,
 )
@@ -49,8 +50,9 @@ def study_files(
         for name, content in _run_files(folder, row.run_id in with_checkpoints):
             yield f"runs/{folder.parent.name}/{folder.name}/{name}", content
     for study, cell in sorted({(row.study, row.cell) for row in rows}):
-        if (path := rules_file(root, study, cell)).exists():
-            yield f"runs/{path.parent.name}/{path.name}", _json(read_json(path))
+        for path in (rules_file(root, study, cell), best_file(root, study, cell)):
+            if path.exists():
+                yield f"runs/{path.parent.name}/{path.name}", _json(read_json(path))
         if (path := cell_summary_file(root, study, cell)).exists():
             summary = replace(CellSummary.read(path), session=_NOWHERE, tracking_uri=None, sent=())
             yield f"runs/{path.parent.name}/{path.name}", _json(asdict(summary))

@@ -1,0 +1,96 @@
+"""The section on the absolute metric: the best policies of the trainings on new episodes."""
+
+from statistics import fmean
+from typing import Any
+
+import pandas as pd
+
+from headway.stats import frames
+from headway.wording import counted
+from headway_launch.report.elements import (
+    MISSING,
+    Part,
+    Section,
+    formatted,
+    with_deviation,
+    with_interval,
+)
+from headway_launch.report.reward_tables import (
+    against_cells,
+    exact_against,
+)
+from headway_launch.report.study_data import DifferenceFromBest, StudyData
+from headway_launch.runner.comparison import difference
+from headway_launch.studies.runs import kept_episodes
+
+
+def absolute_metric_section(data: StudyData) -> Section | None:
+    """Return the section; None if `headway compare --best --keep` has stored no episodes of the metric."""
+    rows: list[list[str]] = []
+    exact: list[dict[str, Any]] = []
+    rules: set[int] = set()
+    notes: list[str] = []
+    for task in data.tasks:
+        of_rules: dict[str, float] = {}
+        numbers: set[int] = set()
+        for controller, members in data.on(task).items():
+            runs, of_rule = kept_episodes(members, data.mode, [data.column])
+            if not runs:
+                continue
+            learned = [episodes[data.column].tolist() for episodes in runs.values()]
+            played = {rule: episodes[data.column].tolist() for rule, episodes in of_rule.items()}
+            if len(learned) < len(members):
+                seeds = counted(len(members), "seed")
+                notes.append(f"{controller}{data.where(task)}: {len(learned)} of its {seeds}")
+            scores = pd.DataFrame({"controller": controller, "task": task, "score": map(fmean, learned)})
+            [row] = frames.summary(scores).to_dict("records")
+            found = {str(name): value for name, value in row.items()}
+            best, against = data.best_rules.get(task, ""), DifferenceFromBest(None, "no rule was run")
+            if best in played:
+                against = DifferenceFromBest(difference(learned, played[best]))
+            of_rules |= {rule: fmean(values) for rule, values in played.items()}
+            numbers |= set(map(len, learned))
+            rows.append(
+                [
+                    *(task, controller, str(len(learned)), with_deviation(found["mean"], found["std"])),
+                    with_interval(found["iqm"], found["iqm_low"], found["iqm_high"]),
+                    *against_cells(data, against, len(learned)),
+                ]
+            )
+            exact.append({"environment": task, "controller": controller, **found, **exact_against(against)})
+        for rule in sorted(of_rules, key=lambda rule: -data.sign * of_rules[rule]):
+            rules.add(len(rows))
+            name, last = f"rule {rule}", "the best rule" if rule == data.best_rules.get(task) else MISSING
+            cells = [name, MISSING, formatted(of_rules[rule]), MISSING, MISSING, MISSING, last]
+            rows.append([task, *cells])
+            exact.append({"environment": task, "controller": name, "mean": of_rules[rule]})
+        if numbers:
+            number = f"{' or '.join(map(str, sorted(numbers)))} episodes"
+            notes.append(f"Evaluated{data.where(task)}: {number} per seed")
+    if not rows:
+        return None
+    name = data.metric_with_unit
+    table = data.table_by_task(
+        "absolute_metric",
+        f"Absolute metric: {name} of each seed's best policy on other episodes than those that selected it. "
+        "Mean ± standard deviation over seeds (ddof = 1); interquartile mean (IQM) over seeds with its 95% "
+        "interval by the stratified bootstrap; and the paired difference from the best rule on the same "
+        "episodes, with the 95% interval by Student's t.",
+        [
+            *("controller", "seeds", f"{name}: mean ± std", "IQM [95%]"),
+            *("difference from the best rule [95% interval]", "interval over", "conclusion"),
+        ],
+        rows,
+        pd.DataFrame(exact),
+        words=(6, 7),
+        emphasised=frozenset(rules),
+    )
+    body: list[Part] = [
+        "The best policy of a seed is that of the evaluation with the highest return in its training. It is "
+        "evaluated anew because its return in that evaluation, by which it was chosen, is too high (Gorsane "
+        "et al. 2022, arXiv:2209.10485, who recommend ten times the episodes of an evaluation). All other "
+        "parts of this page are about the last policies.",
+        table,
+        f"{'; '.join(notes)}.",
+    ]
+    return Section("absolute_metric", "Absolute metric", body)
