@@ -270,8 +270,20 @@ class BusConfig:
     """Day type, which selects timetable, travel times and demand."""
     tick_s: float = 60.0
     """Control interval, s: all agents act together once per interval."""
+    control: Literal["minute", "holding"] = "minute"
+    """Decisions of an agent. `minute`: WAIT, MOVE or SERVICE_CENTER, again and again until its bus leaves;
+    `holding`: once per stop, when its bus is ready to leave, for how long it is held. Buses then leave
+    terminals at their scheduled departure plus the holding time, and go to service as under the rules."""
     hold_s: float = 60.0
-    """Holding time per WAIT, s."""
+    """Only with `control=minute`: holding time per WAIT, s."""
+    max_hold_s: float = 180.0
+    """Only with `control=holding`: the longest holding time, s."""
+    hold_levels: int = 7
+    """Only with `control=holding`: number of actions, evenly spaced holding times from 0 to `max_hold_s`; 0:
+    actions are real numbers of seconds, Box instead of Discrete."""
+    control_every: int = 1
+    """Only with `control=holding`: every which stop of a trip has control, counted from its terminal, which
+    has it. At other stops buses leave at once."""
     start_hour: int = 5
     """Start of the service day, h."""
     end_hour: int = 24
@@ -334,7 +346,15 @@ class BusConfig:
         require_value(
             self, "state", self.state in ("auto", "full", "aggregate"), "must be auto, full or aggregate"
         )
-        _require_above(0, tick_s=self.tick_s, hold_s=self.hold_s)
+        require_value(self, "control", self.control in ("minute", "holding"), "must be minute or holding")
+        _require_above(0, tick_s=self.tick_s, hold_s=self.hold_s, max_hold_s=self.max_hold_s)
+        require_value(
+            self, "hold_levels", self.hold_levels in (0, *range(2, 1001)), "must be 0, or 2 to 1000"
+        )
+        require_value(self, "control_every", self.control_every >= 1, "must be at least 1")
+        for name in ("hold_s",) if self.holds else ("max_hold_s", "hold_levels", "control_every"):
+            same = getattr(self, name) == getattr(type(self), name)
+            require_key(same, name, f"has no effect with control={self.control}; leave it out")
         require(4 <= self.start_hour < self.end_hour <= 26, "4 <= start_hour < end_hour <= 26 must hold")
         require_value(
             self, "tick_s", self.day_s % self.tick_s == 0, f"must divide the service day of {self.day_s:g} s"
@@ -357,6 +377,16 @@ class BusConfig:
             )
         _require_share(captive_share=self.captive_share)
         _require_above(0, competing_headway_share=self.competing_headway_share)
+
+    @property
+    def holds(self) -> bool:
+        """Whether actions are holding times."""
+        return self.control == "holding"
+
+    @property
+    def hold_step_s(self) -> float:
+        """Difference between two Discrete holding times, s."""
+        return self.max_hold_s / (self.hold_levels - 1)
 
     @property
     def day_s(self) -> float:

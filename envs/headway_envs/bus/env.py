@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Discrete, EnvSpec, Observations, StepResult
+from headway.contracts import Box, Discrete, EnvSpec, Observations, StepResult
 from headway_envs.array_env import ArrayEnv, Snapshot, copied
+from headway_envs.bus.config import BusConfig
 from headway_envs.bus.kernel import tick
 from headway_envs.bus.kernel.allocation import allocate_trace, allocate_world, state_size
 from headway_envs.bus.kernel.future import redraw
@@ -22,9 +23,18 @@ _WAITING = ("arrived_at", "leaves_at")
 class BusBatchedEnv(ArrayEnv[World, Outputs]):
     """C service days stepped together; implements `headway.contracts.BatchedEnv`.
 
-    Agents are vehicle slots. Actions are 0 WAIT, 1 MOVE, 2 SERVICE_CENTER, latched for one control interval
-    and used at each decision event in it (`acting`). At the end of the service day all agents are terminated,
-    not truncated: the last buses and passengers have left, so actions could not influence any later reward.
+    Agents are vehicle slots. Actions are 0 WAIT, 1 MOVE, 2 SERVICE_CENTER or, with `control=holding`, holding
+    times; they are latched for one control interval and used at each decision event in it (`acting`), at its
+    exact time.
+
+    With `control=holding` decisions are asynchronous: a bus decides again after k control intervals, k
+    differing from decision to decision, and its actions between are not used. Rewards are paid in every
+    interval. The process is semi-Markov (Sutton, Precup and Singh 1999, "Between MDPs and semi-MDPs"): a
+    decision in interval t earns r_t + gamma r_{t+1} + ... + gamma^(k-1) r_{t+k-1}, and the value at the next
+    one is discounted by gamma^k, gamma being the discount per control interval.
+
+    At the end of the service day all agents are terminated, not truncated: the last buses and passengers have
+    left, so actions could not influence any later reward.
     """
 
     _KIND = "bus scenario"
@@ -44,12 +54,12 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
             name="bus",
             agents=prepared.agents,
             observation_size=OBSERVATION_SIZES[config.observation],
-            action_space=Discrete(3),
+            action_space=_action_space(config),
             state_size=state_size(self.network, config.observation, prepared.full_state),
             groups=prepared.groups,
             shared_reward=config.reward.scope == "team",
             shared_in_groups=config.reward.scope == "line",
-            has_action_mask=True,
+            has_action_mask=not config.holds,
             agents_come_and_go=True,
             metrics=METRICS,
             observation_features=features(prepared),
@@ -62,13 +72,21 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
         self._outcome = self._result(**ends)
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
-        """Advance by one control interval; actions (C, N) int64 of 0 to 2.
+        """Advance by one control interval; actions (C, N) int64 of 0 to 2. With `control=holding`, numbers of
+        `hold_levels`, or (C, N, 1) float32 of holding times, s, which are clipped to [0, `max_hold_s`] and
+        rounded to milliseconds.
 
         A bus that is away or broken down ignores its action; SERVICE_CENTER acts as MOVE if the centre does
         not accept the bus.
 
         Raises ValueError for any other shape of actions.
         """
+        config = self.prepared.config
+        if isinstance(self._spec.action_space, Box):
+            actions = np.rint(1000.0 * np.clip(actions, 0.0, config.max_hold_s).astype(np.float64))
+            actions = actions.squeeze(-1) if actions.shape[-1:] == (1,) else actions
+        elif config.holds:
+            actions = np.rint(1000.0 * config.hold_step_s * np.asarray(actions))
         actions = self._checked(actions)
         outputs = self.outputs
         if tick.step(self.network, self.settings, self.world, outputs, actions, self.trace):
@@ -82,7 +100,8 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
         They are views of the environment's arrays.
         """
         outputs = self.outputs
-        return Observations(outputs.observations, outputs.states, outputs.alive, outputs.masks)
+        masks = outputs.masks if self._spec.has_action_mask else None
+        return Observations(outputs.observations, outputs.states, outputs.alive, masks)
 
     def snapshot(self) -> Snapshot:
         """Return copies of all arrays.
@@ -126,3 +145,9 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
 
     def _begin(self, seeds: NDArray[np.uint64]) -> None:
         tick.begin(self.network, self.settings, self.world, self.outputs, seeds)
+
+
+def _action_space(config: BusConfig) -> Discrete | Box:
+    if not config.holds:
+        return Discrete(3)
+    return Discrete(config.hold_levels) if config.hold_levels else Box((0.0,), (config.max_hold_s,))

@@ -104,6 +104,7 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "breakdown_bus": -1 if breakdown is None else disruptions.breakdown_bus,
         "late_s": disruptions.late_s,
         "late_bus": disruptions.late_bus if disruptions.late_s > 0.0 else -1,
+        "holding": float(config.holds),
     }
 
 

@@ -5,6 +5,7 @@ import numpy as np
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import KNOTS, Network
+from headway_envs.bus.kernel.upkeep import find_due_for_service
 from headway_envs.bus.prepared import Prepared
 
 
@@ -53,4 +54,5 @@ def run_tiny() -> None:
     env.reset(np.zeros(1, np.uint64))
     for _ in range(config.ticks + 1):
         env.step(np.ones((1, 1), np.int64))
+    find_due_for_service(env.network, env.settings, env.world, np.zeros((1, 1), np.bool_))
     env.branch_from(env, np.zeros(1, np.int64), np.ones(1, np.uint64))

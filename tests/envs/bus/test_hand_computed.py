@@ -1,5 +1,7 @@
 """A small scenario computed by hand, and random draws compared with their distributions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -27,8 +29,9 @@ CALM = NoiseConfig(
 )
 
 
-def tiny(board: float = 1e-9) -> Prepared:
-    """Return a scenario of three stops 100 s apart, trips at 05:10 and 05:40, no noise and few passengers."""
+def tiny(board: float = 1e-9, changed: BusConfig | None = None) -> Prepared:
+    """Return a scenario of three stops 100 s apart, trips at 05:10 and 05:40, no noise and few passengers;
+    with other arguments as in `changed`."""
     frames = {
         "stops": {"stop": [0, 1, 2], "lat": [0.0, 0.0, 0.0], "lon": [0.0, 0.01, 0.02]},
         "patterns": {"pattern": [0], "line": ["a"], "dir": ["I"], "n_stops": [3]},
@@ -61,7 +64,7 @@ def tiny(board: float = 1e-9) -> Prepared:
         meta={"link_times_include_dwell": False},
     )
     check_tables(tables)
-    config = BusConfig(end_hour=6, noise=CALM, captive_share=1.0)
+    config = replace(changed or BusConfig(), end_hour=6, noise=CALM, captive_share=1.0)
     network, lines = build(tables, config)
     return Prepared(config, network, lines, "tiny")
 
@@ -81,6 +84,33 @@ def test_events_fall_at_the_times_computed_by_hand() -> None:
     assert seen[9][1]
     assert seen[9][0] == 18680.0
     assert env.world.trip_time[0, 0] == pytest.approx(18680.0 - 18420.0)
+
+
+@pytest.mark.parametrize(("every", "end_s", "decisions"), [(1, 18920.0, [10, 12]), (2, 18830.0, [10])])
+def test_a_bus_is_held_once_per_stop_for_the_time_chosen(
+    every: int, end_s: float, decisions: list[int]
+) -> None:
+    """The first trip decides at 18600 s, the start of interval 10, and is held 30 s; at stop 1, if that has
+    control, at 18730 s, in interval 12, and is held 90 s. Levels are 30 s apart; those of other intervals are
+    not used."""
+    env = begun(BusBatchedEnv(tiny(changed=BusConfig(control="holding", control_every=every)), 1))
+    acted = []
+    for tick in range(20):
+        outcome = repeated(env, {10: 1, 12: 3}.get(tick, 6), 1)
+        acted += [tick] if outcome.acting[0, 0] else []
+    assert acted == decisions
+    assert env.world.trip_time[0, 0] == pytest.approx(end_s - 18630.0)
+    assert env.world.days["held"][0] == (90.0 if every == 1 else 0.0)
+
+
+def test_holding_times_in_seconds_are_clipped_and_kept_to_the_millisecond() -> None:
+    env = begun(BusBatchedEnv(tiny(changed=BusConfig(control="holding", hold_levels=0)), 1))
+    for tick in range(20):
+        env.step(np.full((1, 1, 1), {10: -5.0, 11: 12.3456}.get(tick, 1e9), np.float32))
+    # Left at 18600 s, at stop 1 at 18700 s, in interval 11.
+    assert env.world.trip_time[0, 0] == pytest.approx(100.0 + 12.346 + 100.0)
+    with pytest.raises(ValueError, match="actions must have shape"):
+        env.step(np.zeros((1, 3, 1), np.float32))
 
 
 def test_a_queue_boards_first_come_first_served_with_its_exact_waits() -> None:

@@ -2,8 +2,13 @@
 
 from pathlib import Path
 
-from headway_envs.numba_setup import compiled, compiled_allocating, drop_stale_cache
+from headway_envs.numba_setup import (
+    compiled,
+    compiled_allocating,
+    compiled_apart,
+    drop_stale_cache,
+)
 
 drop_stale_cache(Path(__file__).parent)
 
-__all__ = ["compiled", "compiled_allocating"]
+__all__ = ["compiled", "compiled_allocating", "compiled_apart"]

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled
-from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOTS
+from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOTS, PERIOD_ENDS_S
 
 _FIRST_KNOT_S = FIRST_KNOT_HOUR * 3600.0 + 1800.0
 
@@ -32,8 +32,8 @@ def bin_of(time: float, start: float, bins: int) -> int:
 @compiled
 def period_of(time: float) -> int:
     """Return the period of `Network.alighting` (0 to 3) that contains `time`."""
-    if time < 9 * 3600.0:
+    if time < PERIOD_ENDS_S[0]:
         return 0
-    if time < 15 * 3600.0:
+    if time < PERIOD_ENDS_S[1]:
         return 1
-    return 2 if time < 20 * 3600.0 else 3
+    return 2 if time < PERIOD_ENDS_S[2] else 3

@@ -22,6 +22,8 @@ KNOT_S: NDArray[np.float64] = np.asarray(KNOT_HOURS * 3600.0 + 1800.0, np.float6
 """(K,) hours of the knots, and their times, s."""
 BIN_S = 900.0
 """Width of a bin of arrival rates and of congestion, s."""
+PERIOD_ENDS_S = (9 * 3600.0, 15 * 3600.0, 20 * 3600.0)
+"""Ends of the first three of the four periods of `Network.alighting`, s."""
 WAIT_BINS = 10800
 """Number of one-second bins of the histogram of waits. The last bin also holds all longer waits."""
 
@@ -150,6 +152,8 @@ SETTINGS = np.dtype(
             "full_state",
             "breakdown_bus",
             "late_bus",
+            "holding",
+            "control_every",
         ]
     ],
     align=True,
@@ -158,7 +162,8 @@ SETTINGS = np.dtype(
 arrivals; `breakdown_cost`: reward that a bus loses by running out of fuel; `low_occupancy`: occupancy below
 which e is penalised, 0 if it is not; `observation`: 0 paper, 1 published, 2 control; `scope`: SCOPE_TEAM,
 SCOPE_LINE or SCOPE_OWN; `slow_s`: start of the hour of slow links, infinite without; `breakdown_bus`,
-`late_bus`: slots, -1 without."""
+`late_bus`: slots, -1 without; `holding`: actions are holding times, ms, instead of WAIT, MOVE and
+SERVICE_CENTER."""
 
 SLOT = np.dtype(
     [

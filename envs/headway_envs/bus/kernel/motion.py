@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from headway_envs.bus.kernel.compiled import compiled
+from headway_envs.bus.kernel.compiled import compiled, compiled_apart
 from headway_envs.bus.kernel.curves import bin_of, interpolate, period_of
 from headway_envs.bus.kernel.draws import (
     ALIGHTING,
@@ -37,7 +37,7 @@ from headway_envs.bus.kernel.layout import (
     World,
 )
 from headway_envs.bus.kernel.passengers import board, change_load, unload_passengers
-from headway_envs.bus.kernel.upkeep import is_serviceable
+from headway_envs.bus.kernel.upkeep import is_due_for_service, is_serviceable
 from headway_envs.keyed_random import uniform
 
 
@@ -97,8 +97,9 @@ def renew(k: Record, world: World, c: int, n: int) -> None:
 def schedule_next_trip(
     net: Network, k: Record, world: World, c: int, n: int, time: float, arrived: bool
 ) -> None:
-    """Schedule the slot's next trip. The bus waits at the trip's terminal; at the depot if no trip is left,
-    the day begins, or the wait exceeds `depot_gap_s`. `arrived`: whether it has just finished a trip."""
+    """Schedule the slot's next trip, `dispatch_window_s` before its departure or, if actions are holding
+    times, at its departure. The bus waits at the trip's terminal; at the depot if no trip is left, the day
+    begins, or the wait exceeds `depot_gap_s`. `arrived`: whether it has just finished a trip."""
     slot = world.slots[c, n]
     if slot.block == net.slot_first[n + 1]:
         slot.phase = DEPOT
@@ -109,7 +110,7 @@ def schedule_next_trip(
     slot.call = net.pattern_calls[slot.pattern]
     slot.held = 0.0
     slot.trip_factor = unit_lognormal(normal(world.days[c].key, TRIP, slot.trip, 0), k.trip_sd)
-    ready = net.trip_departure[slot.trip] - k.dispatch_window_s
+    ready = net.trip_departure[slot.trip] - (0.0 if k.holding else k.dispatch_window_s)
     if arrived:
         ready = max(ready, time + k.minimum_layover_s + net.trip_deadhead[slot.trip])
     elif n == k.late_bus:
@@ -219,14 +220,50 @@ def leave_for_service(net: Network, k: Record, world: World, c: int, n: int, tim
 
 
 @compiled
-def apply_action(net: Network, k: Record, world: World, c: int, n: int, time: float, action: int) -> None:
-    """Apply the action chosen for slot `n` of copy `c` at its decision event: depart, hold or get service."""
+def dispatch(k: Record, world: World, c: int, n: int, time: float) -> None:
+    """Let a bus leave its terminal after the dispatch delay."""
+    slot = world.slots[c, n]
+    slot.phase = DISPATCHED
+    delay = k.dispatch_s * exponential(world.days[c].key, DISPATCH, slot.trip, 0)
+    world.event_time[c, n] = time + delay
+
+
+# Not inlined, to keep the code that decides every minute small.
+@compiled_apart
+def apply_holding(net: Network, k: Record, world: World, c: int, n: int, time: float, hold_ms: int) -> bool:
+    """Hold a bus that is ready to leave, once per stop; return whether it was the bus's decision.
+
+    There is none where the bus has been held already, at a stop without control (all but every
+    `control_every`-th), and at a terminal from which the bus goes to service.
+    """
+    slot = world.slots[c, n]
+    at_terminal = slot.phase == TERMINAL
+    if at_terminal and is_serviceable(k, world, c, n) and is_due_for_service(net, k, world, c, n):
+        leave_for_service(net, k, world, c, n, time)
+        return False
+    passed = slot.call - net.pattern_calls[slot.pattern]
+    decides = slot.held == 0.0 and passed % k.control_every == 0
+    slot.held = hold_s = 0.001 * hold_ms if decides else 0.0
+    if at_terminal:
+        dispatch(k, world, c, n, time + hold_s)
+    elif hold_s > 0.0:
+        world.days[c].held += hold_s
+        world.event_time[c, n] = time + hold_s
+    else:
+        depart(net, k, world, c, n, time)
+    return bool(decides)
+
+
+@compiled
+def apply_action(net: Network, k: Record, world: World, c: int, n: int, time: float, action: int) -> bool:
+    """Apply the action chosen for slot `n` of copy `c` when its bus is ready to leave: depart, hold or get
+    service. Return whether the action was used."""
+    if k.holding:
+        return apply_holding(net, k, world, c, n, time, action)
     slot = world.slots[c, n]
     if action == MOVE or (action == SERVICE_CENTER and not is_serviceable(k, world, c, n)):
         if slot.phase == TERMINAL:
-            slot.phase = DISPATCHED
-            delay = k.dispatch_s * exponential(world.days[c].key, DISPATCH, slot.trip, 0)
-            world.event_time[c, n] = time + delay
+            dispatch(k, world, c, n, time)
         else:
             depart(net, k, world, c, n, time)
     elif action == SERVICE_CENTER:
@@ -235,6 +272,7 @@ def apply_action(net: Network, k: Record, world: World, c: int, n: int, time: fl
         slot.held += k.hold_s
         world.days[c].held += k.hold_s if slot.phase == STANDING else 0.0
         world.event_time[c, n] = time + k.hold_s
+    return True
 
 
 @compiled
@@ -273,16 +311,14 @@ def process_event(net: Network, k: Record, world: World, c: int, n: int, time: f
     # Passengers who have come during the dwell still board; a bus at a stop decides once there are none.
     boarded = board(net, k, world, c, n, time)
     if slot.phase == TERMINAL:
-        apply_action(net, k, world, c, n, time, action)
-        return True
+        return apply_action(net, k, world, c, n, time, action)
     if boarded > 0:
         world.event_time[c, n] = time + boarded * k.boarding_s
         return False
     if slot.phase == DISPATCHED:
         depart(net, k, world, c, n, time)
         return False
-    apply_action(net, k, world, c, n, time, action)
-    return True
+    return apply_action(net, k, world, c, n, time, action)
 
 
 @compiled

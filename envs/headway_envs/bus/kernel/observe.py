@@ -121,7 +121,8 @@ def observe(
     alive: NDArray[np.bool_],
     masks: NDArray[np.bool_],
 ) -> None:
-    """Fill observations (N, D), alive mask (N,) and action masks (N, 3) of one copy.
+    """Fill observations (N, D), alive mask (N,) and action masks (N, 3) of one copy; actions that are holding
+    times have no masks.
 
     A slot is alive while it is out of the depot, and already in the interval of its first decision. Rows of
     dead slots are zeros, with all actions allowed.
@@ -130,14 +131,15 @@ def observe(
     for n in range(observations.shape[0]):
         phase = world.slots[c, n].phase
         alive[n] = phase != DEPOT or world.event_time[c, n] < until
-        masks[n, WAIT] = True
-        masks[n, MOVE] = True
-        # A bus that leaves the depot has been renewed: only a centre that accepts any bus would take it.
-        unavailable = phase in (AWAY, BROKEN) or (phase == DEPOT and k.service_below < 1.0)
-        masks[n, SERVICE_CENTER] = not unavailable and is_serviceable(k, world, c, n)
+        if not k.holding:
+            masks[n, WAIT] = True
+            masks[n, MOVE] = True
+            # A bus that leaves the depot has been renewed: only a centre that accepts any bus would take it.
+            unavailable = phase in (AWAY, BROKEN) or (phase == DEPOT and k.service_below < 1.0)
+            serviceable = not unavailable and is_serviceable(k, world, c, n)
+            masks[n, SERVICE_CENTER] = serviceable or not alive[n]
         if not alive[n]:
             observations[n, :] = 0.0
-            masks[n, SERVICE_CENTER] = True
         elif k.observation == 3:
             _observe_network(net, k, world, c, n, observations[n])
         elif k.observation == 2:

@@ -1,8 +1,11 @@
-"""Admission to the service centre, and the potential of `reward.foresee_upkeep`: the future cost of upkeep.
+"""Admission to the service centre, when a dispatcher sends buses there, and the potential of
+`reward.foresee_upkeep`: the future cost of upkeep.
 
 A potential-based change of the reward leaves the ranking of policies unchanged (Ng, Harada and Russell 1999,
 "Policy invariance under reward transformations"). Undiscounted, its sum over a day is a constant.
 """
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,15 @@ from headway_envs.bus.kernel.layout import (
     World,
 )
 
+FUEL_MARGIN = 1.25
+"""Safety margin on fuel: the driving time that a bus's fuel lasts for is divided by this factor."""
+NEAR_S = 60.0
+"""Tolerance, s, for terminals near a service centre: a terminal is near if its detour exceeds the shortest
+detour of its line by at most this time."""
+MIN_WORN_SHARE = 0.5
+"""Share of the planned driving time until the depot that a bus must spend below the warning level of uptime
+to be sent to service."""
+
 
 @compiled
 def is_serviceable(k: Record, world: World, c: int, n: int) -> bool:
@@ -26,6 +38,34 @@ def is_serviceable(k: Record, world: World, c: int, n: int) -> bool:
     slot = world.slots[c, n]
     level = min(slot.fuel / k.fuel_capacity, slot.uptime)
     return bool(k.service_below >= 1.0 or level < k.service_below)
+
+
+@compiled
+def is_due_for_service(net: Network, k: Record, world: World, c: int, n: int) -> bool:
+    """Return whether the bus should go to service at its current terminal.
+
+    Inputs are the driving time until the bus's next stay at the depot and the terminals of its line nearest
+    to a service centre. A bus at such a terminal is sent if its fuel, with a margin, lasts neither to the
+    depot nor for a round trip (twice its line's longest trip), or if its uptime would fall below the warning
+    level within a round trip and early enough before the depot (`MIN_WORN_SHARE`). At any other terminal a
+    bus is sent only if its fuel lasts neither to the depot nor for one more trip.
+    """
+    slot, line = world.slots[c, n], net.slot_line[n]
+    trip, to_drive = net.line_trip[line], net.trip_work_left[slot.trip]
+    fuel_range = slot.fuel / k.fuel_per_s / FUEL_MARGIN
+    wear_range = (slot.uptime - k.warning) / k.uptime_per_s
+    near = net.detour[slot.call] <= net.line_detour[line] + NEAR_S
+    soon = fuel_range < min((2.0 if near else 1.0) * trip, to_drive)
+    worn = near and wear_range < min(2.0 * trip, (1.0 - MIN_WORN_SHARE) * to_drive)
+    return bool(soon or worn)
+
+
+@compiled
+def find_due_for_service(net: Network, settings: NDArray[Any], world: World, due: NDArray[np.bool_]) -> None:
+    """Fill `due` (C, N) with `is_due_for_service` of every slot."""
+    for c in range(due.shape[0]):
+        for n in range(due.shape[1]):
+            due[c, n] = is_due_for_service(net, settings[0], world, c, n)
 
 
 @compiled
