@@ -124,7 +124,7 @@ def _learner_pairs(data: StudyData, task: str) -> list[str]:
     number = f"{len(differ)} of {counted(len(pairs), 'pair')}" if differ else "no pair"
     which = ", ".join(f"`{better}` is better than `{worse}`" for better, worse in differ[:_MAX_PAIRS])
     more = "; ..." if len(differ) > _MAX_PAIRS else ""
-    verb = "differs" if len(differ) < 2 else "differ"
+    verb = "differ" if len(differ) > 1 else "differs" if differ else "is shown to differ"
     return [
         f"Of the learners{data.where(task)}, {number} {verb} in the last evaluation, with p corrected by "
         f"Holm below 5% and at least {SEEDS_FOR_A_CLAIM} seeds of both{': ' if differ else ''}{which}{more}."

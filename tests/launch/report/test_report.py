@@ -133,7 +133,7 @@ def test_both_reward_sections_show_the_stored_values(two: Two) -> None:
 def test_every_result_of_the_summary_names_its_episodes(two: Two, keep_run: Keep, root: Path) -> None:
     report = two.report
     best, pairs, against, *_ = report.summary
-    assert pairs.startswith("Of the learners, no pair differs in the last evaluation")
+    assert pairs.startswith("Of the learners, no pair is shown to differ in the last evaluation")
     assert best.endswith(
         "the highest mean return in the last evaluation: 7.500 over 3 seeds (4 episodes). The final reward "
         "below is another value: the mean over the last 20% of the curve, with 2 episodes per evaluation, "
