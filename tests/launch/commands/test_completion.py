@@ -62,8 +62,8 @@ def test_names_and_keys_are_completed_after_run(before: str, tmp_path: Path) -> 
 def test_the_users_files_and_configurations_are_completed(tmp_path: Path) -> None:
     (tmp_path / "lab" / "experiment").mkdir(parents=True)
     (tmp_path / "lab" / "experiment" / "mine.yaml").write_text("seed: 1\n")
-    assert completions("headway run lab/experiment/mi", tmp_path) == ["lab/experiment/mine.yaml"]
-    assert completions("headway run --config-dir lab experiment=mi", tmp_path) == ["experiment=mine"]
+    assert completions("headway run lab/experiment/min", tmp_path) == ["lab/experiment/mine.yaml"]
+    assert completions("headway run --config-dir lab experiment=min", tmp_path) == ["experiment=mine"]
 
 
 def test_runs_and_studies_are_completed(tmp_path: Path) -> None:
