@@ -50,16 +50,17 @@ def cell_parameters(experiment: "Experiment") -> dict[str, Any]:
     """Return the parameters that all runs of a cell share, by dotted name."""
     whole = full_mapping(experiment, ())
     kept = {key: whole[key] for key in ("env_steps", "device", "env", "algo", "rollout")}
-    if start := _start(whole):
-        kept["start"] = start
-    if whole["stages"]:
-        kept["stages"] = whole["stages"]
-    return dict(flat(kept))
+    return dict(flat({**kept, **_start_and_stages(whole)}))
 
 
-def _start(mapping: Mapping[str, Any]) -> dict[str, Any]:
+def _start_and_stages(mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `start` and `stages`, each only if a run has one: earlier versions stored neither."""
+    found = {"start": _start(mapping.get("start") or {}), "stages": mapping.get("stages")}
+    return {key: value for key, value in found.items() if value}
+
+
+def _start(start: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a run starts from, without keys that have no effect; empty for random parameters."""
-    start = mapping.get("start") or {}
     anchored = {key: start[key] for key in ("kl_coeff", "critic_iterations") if start.get(key)}
     if start.get("rule"):
         return {key: start[key] for key in ("rule", "env_steps")} | anchored
@@ -82,11 +83,7 @@ def identity(mapping: Mapping[str, Any]) -> str:
 
     The number of processes, the store, the rules evaluated and energy measurement are left out.
     """
-    kept = {name: mapping.get(name) for name in _IDENTITY_KEYS}
-    if start := _start(mapping):
-        kept["start"] = start
-    if stages := mapping.get("stages"):
-        kept["stages"] = stages
+    kept = {**{name: mapping.get(name) for name in _IDENTITY_KEYS}, **_start_and_stages(mapping)}
     evaluation = mapping.get("evaluation") or {}
     kept["evaluation"] = {name: value for name, value in evaluation.items() if name != "rules"}
     stack = mapping.get("backend", {}).get("stack", 1)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -151,12 +152,10 @@ def order_lines(curves: Mapping[str, BestOf], lower_is_better: bool) -> list[str
         _order({label: float(best.mean[n]) for label, best in curves.items()}, lower_is_better)
         for n in range(fewest)
     ]
-    lines, first = [], 0
-    for n in range(1, fewest + 1):
-        if n == fewest or orders[n] != orders[first]:
-            span = f"n = {first + 1}" if n == first + 1 else f"n = {first + 1} to {n}"
-            lines.append(f"{span}: {orders[first]}")
-            first = n
+    lines = []
+    for order, members in groupby(range(fewest), key=orders.__getitem__):
+        first, *others = members
+        lines.append(f"n = {first + 1}{f' to {others[-1] + 1}' if others else ''}: {order}")
     return lines
 
 

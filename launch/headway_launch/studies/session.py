@@ -50,7 +50,7 @@ class StudySession:
         runner = self.open_runner(debug)
         code = runner.run()
         if code != EXIT_STOPPED:
-            self.require_all_ended(runner)
+            require_all_ended(self.experiments[0].config.study, runner.left_to_others())
         return runner, code
 
     def open_runner(self, debug: bool) -> Runner:
@@ -60,10 +60,6 @@ class StudySession:
         keep_plan(Path(config.store.root), config.study, self.experiments)
         print_progress(config.study, self.progress)
         return runner
-
-    def require_all_ended(self, runner: Runner) -> None:
-        """Raise HeadwayError if runs left to other sessions have not finished."""
-        require_all_ended(self.experiments[0].config.study, runner.left_to_others())
 
 
 def print_progress(study: str, progress: Sequence[StudyProgress]) -> None:
