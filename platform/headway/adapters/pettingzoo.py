@@ -268,12 +268,7 @@ class ParallelEnvBatch:
             given = dict(zip(agents, decoded, strict=True))
         else:
             given = {agent: decoded[self._index[agent]] for agent in live}
-        try:
-            answer = self._envs[copy].step(given)
-        except HeadwayError:
-            raise
-        except Exception as error:  # the environment's own code
-            raise EnvironmentRaisedError(self._spec.name, "step", error) from error
+        answer = _call(self._spec.name, "step", partial(self._envs[copy].step, given))
         try:
             self._read_step(copy, live, answer)
         except _MALFORMED as error:
