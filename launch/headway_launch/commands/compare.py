@@ -141,7 +141,7 @@ def execute(arguments: argparse.Namespace) -> int:
     experiment, cells = subject.experiment, {f"{label}{which}": runs for label, runs in subject.cells.items()}
     if arguments.keep:
         _require_other_episodes(arguments.seed, cells)
-    found = experiment.prepare()
+    found = experiment.prepare_environment()
     names = rules_to_play(found, arguments.rules)
     if not names:
         raise HeadwayError("--rules is empty; give at least one, such as --rules random")

@@ -212,7 +212,7 @@ def observation_rows(name: str, overrides: Sequence[str] = ()) -> list[tuple[str
 
     words = [f"env={name}", *overrides]
     require_each_key_once(words)
-    spec = compose(words).prepare().spec
+    spec = compose(words).prepare_environment().spec
     if not spec.observation_features:
         raise HeadwayError(
             f"{name} does not describe the {spec.observation_size} numbers of its observations; "

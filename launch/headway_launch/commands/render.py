@@ -184,7 +184,7 @@ def _player(arguments: argparse.Namespace) -> _Player:
     words = [f"env={arguments.name}", *arguments.overrides]
     require_each_key_once(words)
     experiment = compose(words)
-    found = experiment.prepare()
+    found = experiment.prepare_environment()
     try:
         rule = rule_entry(experiment.env, arguments.rule).make(found.prepared)
     except HeadwayError as error:

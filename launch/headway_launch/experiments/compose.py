@@ -134,7 +134,7 @@ class Experiment:
         cache = {} if known is None else known
         key = self._environment_key
         if key not in cache:
-            cache[key] = self._prepare_environment()
+            cache[key] = self.prepare_environment()
         if reason := self.algo.refuses(self.algo_config, cache[key].spec):
             raise HeadwayError(f"{self.algo_name} cannot run on {self.config.env.id}: {reason}")
         return cache[key]
@@ -157,7 +157,9 @@ class Experiment:
             ) from error
 
     @prints_to_stderr()
-    def _prepare_environment(self) -> PreparedEnv:
+    def prepare_environment(self) -> PreparedEnv:
+        """Return the prepared environment like `prepare`, also for an algorithm that cannot run on it: for
+        rules, which need none."""
         rules = [self._rule(name) for name in self.rules]
         prepared = self.env.prepare(self.env_config)
         evaluated = spec = self._spec(prepared)

@@ -42,6 +42,13 @@ def test_rules_are_compared_on_the_days_of_an_environment(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_rules_are_compared_where_the_default_algorithm_cannot_run(rows_of: RowsOf) -> None:
+    """The default preset of `bus` has initial logits of three actions."""
+    words = ["env=bus", "env.args.control=holding", "env.args.hold_levels=0", "env.args.end_hour=6"]
+    rows = rows_of("compare", *words, "--episodes", "2", "--rules", "always_move,two_way_headway")
+    assert {row[1] for row in rows[1:]} == {"rule always_move", "rule two_way_headway"}
+
+
 def test_the_table_has_two_digits_of_the_interval_and_json_all(output: RunOutput) -> None:
     asked = ["compare", *GAME, "--episodes", "4", "--metrics", "return"]
     exact = {row["controller"]: row for row in json.loads(output(*asked, "--format", "json").out)}
