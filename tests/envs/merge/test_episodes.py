@@ -1,24 +1,21 @@
 """Starts and ends of episodes, and the differences between the presets."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from merging import make
 from played import repeated
 
 from headway_envs.merge.config import CAVS, HDVS, PRESETS
 from headway_envs.merge.entry import ENTRIES
-from headway_envs.merge.env import MergeBatchedEnv
 from headway_envs.merge.kernel.contact import outlines, shrunk_overlap
 from headway_envs.merge.kernel.layout import AS_HUMAN, CAR, IDLE
 from headway_envs.merge.network import build
 
-Make = Callable[..., MergeBatchedEnv]
-
 
 @pytest.mark.parametrize("density", [1, 2, 3])
-def test_traffic_is_drawn_by_density(make: Make, density: int) -> None:
+def test_traffic_is_drawn_by_density(density: int) -> None:
     """Every number of the range occurs, half of each kind on the highway, at places 40 m apart."""
     env = make(copies=400, density=density)
     episodes, cars = env.world.episodes, env.world.cars
@@ -40,7 +37,7 @@ def test_traffic_is_drawn_by_density(make: Make, density: int) -> None:
     assert places == set(range(6))
 
 
-def test_half_of_the_ramp_vehicles_start_on_the_outer_lane(make: Make) -> None:
+def test_half_of_the_ramp_vehicles_start_on_the_outer_lane() -> None:
     env = make("merge_two_lane", copies=400, density=3)
     y = np.concatenate(
         [row["y"][: episode["cars"]] for episode, row in zip(env.world.episodes, env.world.cars, strict=True)]
@@ -48,7 +45,7 @@ def test_half_of_the_ramp_vehicles_start_on_the_outer_lane(make: Make) -> None:
     assert 0.45 < (y == 14.5).sum() / (y > 0).sum() < 0.55
 
 
-def test_the_number_of_cavs_can_be_set(make: Make) -> None:
+def test_the_number_of_cavs_can_be_set() -> None:
     env = make(copies=20, density=1, cavs=5)
     assert env.spec.num_agents == 5
     assert (env.world.episodes["cavs"] == 5).all()
@@ -56,7 +53,7 @@ def test_the_number_of_cavs_can_be_set(make: Make) -> None:
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_the_time_limit_truncates_or_terminates_by_preset(make: Make, name: str) -> None:
+def test_the_time_limit_truncates_or_terminates_by_preset(name: str) -> None:
     for preset, terminal in (("clean", False), ("paper", True)):
         env, crashed = make(name, copies=32, preset=preset), np.zeros(32, np.bool_)
         for _ in range(99):
@@ -68,7 +65,7 @@ def test_the_time_limit_truncates_or_terminates_by_preset(make: Make, name: str)
         assert (outcome.truncated[late] != terminal).all()
 
 
-def test_the_last_step_of_the_paper_has_one_simulation_step(make: Make) -> None:
+def test_the_last_step_of_the_paper_has_one_simulation_step() -> None:
     """It is 298 in 100 steps instead of 300."""
     final = {}
     for preset in PRESETS:
@@ -85,7 +82,7 @@ def _centre(lane: np.void, x: Any) -> Any:  # noqa: ANN401 - number or array
     return lane["y"] + lane["amplitude"] * np.sin(lane["pulsation"] * (x - lane["x"]) + lane["phase"])
 
 
-def test_the_papers_vehicles_turn_less_sharply(make: Make) -> None:
+def test_the_papers_vehicles_turn_less_sharply() -> None:
     """The slip angle, used as steering angle, is about half of it: vehicles deviate further in the bend."""
     off = {}
     for preset in PRESETS:
@@ -151,7 +148,7 @@ def test_lanes_are_connected() -> None:
         assert net.obstacles.tolist() == [[420.0, 4.0], [420.0, 8.0]][:ramp_lanes]
 
 
-def test_without_the_tie_gain_few_vehicles_leave_the_outer_ramp_lane(make: Make) -> None:
+def test_without_the_tie_gain_few_vehicles_leave_the_outer_ramp_lane() -> None:
     """Both ramp lanes end at the same place, so that a change gains nothing otherwise."""
     merged = {}
     for tie in (0.21, 0.0):

@@ -1,18 +1,15 @@
 """Pictures of a merge by `headway render`."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
+from merging import make
 from PIL import ImageColor
 from played import repeated
 
 from headway_envs.merge.entry import ENTRIES
-from headway_envs.merge.env import MergeBatchedEnv
 from headway_envs.merge.kernel.layout import IDLE
 from headway_envs.merge.renderer import CAV, CRASHED, HUMAN, ROAD, MergeRenderer
 
-Make = Callable[..., MergeBatchedEnv]
 CAR_PIXELS = 25 * 10
 """Number of pixels of a vehicle, including its edges."""
 
@@ -23,7 +20,7 @@ def count(picture: np.ndarray, colour: str) -> int:
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_every_vehicle_is_drawn_and_crashes_stand_out(make: Make, name: str) -> None:
+def test_every_vehicle_is_drawn_and_crashes_stand_out(name: str) -> None:
     env = make(name, density=1)
     renderer = MergeRenderer(env.prepared)
     first = renderer.render(env, at_end=False)
@@ -42,7 +39,7 @@ def test_every_vehicle_is_drawn_and_crashes_stand_out(make: Make, name: str) -> 
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_the_lanes_carry_no_names(make: Make, name: str) -> None:
+def test_the_lanes_carry_no_names(name: str) -> None:
     renderer = MergeRenderer(make(name).prepared)
     pixels = np.asarray(renderer._background)
     for lane in renderer._lanes[renderer._lanes["x"] == 0.0]:
@@ -50,7 +47,7 @@ def test_the_lanes_carry_no_names(make: Make, name: str) -> None:
         assert (pixels[y - 10 : y + 10, : x + 200] == ImageColor.getrgb(ROAD)).all()
 
 
-def test_the_end_can_be_drawn_after_a_reset(make: Make) -> None:
+def test_the_end_can_be_drawn_after_a_reset() -> None:
     """The adapter of a ParallelEnv resets within its step."""
     env = make(steps=4)
     renderer = MergeRenderer(env.prepared)

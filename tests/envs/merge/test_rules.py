@@ -1,16 +1,13 @@
 """Rules, and the effect of the supervisor."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
+from merging import make
 from played import assert_allowed, first_episodes, repeated
 
 from headway_envs.merge.entry import ENTRIES, RULES
 from headway_envs.merge.env import MergeBatchedEnv
 from headway_envs.merge.kernel.layout import AS_HUMAN, IDLE
-
-Make = Callable[..., MergeBatchedEnv]
 
 
 def _metrics(env: MergeBatchedEnv, rule_name: str) -> dict[str, np.ndarray]:
@@ -19,7 +16,7 @@ def _metrics(env: MergeBatchedEnv, rule_name: str) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("name", ENTRIES)
 @pytest.mark.parametrize("rule", RULES)
-def test_rules_act_within_the_masks(make: Make, name: str, rule: str) -> None:
+def test_rules_act_within_the_masks(name: str, rule: str) -> None:
     """Only `idm_mobil` returns an action outside the action space, which the environment supports."""
     env = make(name, copies=4)
     player, observed = RULES[rule].make(env.prepared), env.observed()
@@ -33,7 +30,7 @@ def test_rules_act_within_the_masks(make: Make, name: str, rule: str) -> None:
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_the_rules_differ(make: Make, name: str) -> None:
+def test_the_rules_differ(name: str) -> None:
     """Idle CAVs always hit the end of the ramp; those driven as humans hardly ever crash, and earn most."""
     metrics = {rule: _metrics(make(name, copies=200), rule) for rule in RULES}
     assert (metrics["idle"]["crash_rate"] == 1).all()
@@ -54,7 +51,7 @@ def test_the_rules_differ(make: Make, name: str) -> None:
     [("clean", "random", (0.5, 0.9), (0.05, 0.45)), ("paper", "always_left", (0.2, 0.6), (0.0, 0.3))],
 )
 def test_the_supervisor_prevents_crashes(
-    make: Make, preset: str, rule: str, without: tuple[float, float], with_it: tuple[float, float]
+    preset: str, rule: str, without: tuple[float, float], with_it: tuple[float, float]
 ) -> None:
     """Random and always-left driving crash often without it, and far less often with it."""
     rates = []
@@ -66,7 +63,7 @@ def test_the_supervisor_prevents_crashes(
     assert rates[1] < 0.7 * rates[0]
 
 
-def test_the_supervisor_keeps_safe_actions(make: Make) -> None:
+def test_the_supervisor_keeps_safe_actions() -> None:
     """A single CAV far from the end of the ramp has no collision to prevent."""
     env = make(copies=16, density=1, cavs=1, supervisor=True)
     repeated(env, IDLE, 5)

@@ -1,11 +1,11 @@
 """Observations, masks and rewards compared with a plain Python implementation of their definitions."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from merging import make
 from played import repeated
 
 from headway_envs.merge.config import RewardConfig
@@ -13,7 +13,6 @@ from headway_envs.merge.env import MergeBatchedEnv
 from headway_envs.merge.kernel.layout import IDLE, LEFT, RIGHT
 
 Car = Any
-Make = Callable[..., MergeBatchedEnv]
 NAMES = {
     "merge": ["ab", "bc0", "bc1", "cd", "jk", "kb"],
     "merge_two_lane": ["ab", "bc0", "bc1", "bc2", "cd", "jk", "kb", "mn", "nb"],
@@ -105,7 +104,7 @@ def reward(cars: list[Car], lanes: list[str], cavs: int, index: int, scope: str)
     ("name", "scope"),
     [("merge", "own"), ("merge", "global"), ("merge", "regional"), ("merge_two_lane", "regional")],
 )
-def test_rewards_and_observations_are_as_defined(make: Make, name: str, scope: str) -> None:
+def test_rewards_and_observations_are_as_defined(name: str, scope: str) -> None:
     env = make(name, copies=6, density=3, reward=RewardConfig(scope=scope))
     observed, draw, lanes_seen = env.observed(), np.random.default_rng(1), set()
     for _ in range(90):
@@ -127,7 +126,7 @@ def test_rewards_and_observations_are_as_defined(make: Make, name: str, scope: s
     assert lanes_seen == set(NAMES[name])
 
 
-def test_a_crash_costs_its_weight_and_ends_the_episode_for_all(make: Make) -> None:
+def test_a_crash_costs_its_weight_and_ends_the_episode_for_all() -> None:
     """Idle CAVs on the ramp hit its end."""
     env = make(copies=8, density=1, reward=RewardConfig(scope="own"))
     crashes = 0
@@ -143,7 +142,7 @@ def test_a_crash_costs_its_weight_and_ends_the_episode_for_all(make: Make) -> No
     assert crashes >= 8
 
 
-def test_the_state_holds_every_vehicle_and_the_time(make: Make) -> None:
+def test_the_state_holds_every_vehicle_and_the_time() -> None:
     env = make("merge_two_lane", copies=3, density=2)
     repeated(env, IDLE, 7)
     observed = env.observed()
@@ -158,7 +157,7 @@ def test_the_state_holds_every_vehicle_and_the_time(make: Make) -> None:
             np.testing.assert_allclose(row[3:5], np.array(velocity(car)) / 45, rtol=1e-5, atol=1e-7)
 
 
-def test_with_two_ramp_lanes_only_changes_to_the_left_are_allowed(make: Make) -> None:
+def test_with_two_ramp_lanes_only_changes_to_the_left_are_allowed() -> None:
     env = make("merge_two_lane", copies=32, density=1)
     cars_from_outer = False
     for _ in range(99):
@@ -177,7 +176,7 @@ def test_with_two_ramp_lanes_only_changes_to_the_left_are_allowed(make: Make) ->
 
 
 @pytest.mark.parametrize("density", [1, 2, 3])
-def test_room_for_more_vehicles_changes_only_where_the_state_has_them(make: Make, density: int) -> None:
+def test_room_for_more_vehicles_changes_only_where_the_state_has_them(density: int) -> None:
     """Some episodes of either, with the same actions."""
     exact, roomy = make(copies=4, density=density), make(copies=4, density=density, max_density=3)
     slots = len(exact.spec.agents)

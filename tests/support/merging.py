@@ -1,27 +1,17 @@
 """Merging environments by name."""
 
-from collections.abc import Callable
 from typing import Any
 
-import pytest
 from played import begun
 
 from headway_envs.merge.config import MergeConfig
 from headway_envs.merge.entry import ENTRIES
 from headway_envs.merge.env import MergeBatchedEnv
 
-Make = Callable[..., MergeBatchedEnv]
 
-
-def make_merge(name: str = "merge", copies: int = 1, **arguments: Any) -> MergeBatchedEnv:  # noqa: ANN401 - any argument
+def make(name: str = "merge", copies: int = 1, **arguments: Any) -> MergeBatchedEnv:  # noqa: ANN401 - any argument
     """Return a batch after its reset, copy i with seed i."""
     entry = ENTRIES[name]
     env = entry.make(entry.prepare(MergeConfig(**arguments)), copies)
     assert isinstance(env, MergeBatchedEnv)
     return begun(env)
-
-
-@pytest.fixture(scope="session")
-def make() -> Make:
-    """(name, copies, arguments of the configuration) -> batch after its reset."""
-    return make_merge
