@@ -28,6 +28,8 @@ _SILENT_S = 3 * MIN_TIMEOUT_S
 replacement."""
 _STOP_S = 10.0
 """Minimum time that a training process has to report something after a stop request, s."""
+_END_S = 30.0
+"""Time that a training process has to end after its final event, s."""
 
 
 class StopRequests:
@@ -107,7 +109,7 @@ class _Running:
         is no limit during the last evaluation, which may have any number of episodes.
         """
         progress = self.job.progress
-        if progress.status in OVER or progress.iteration >= progress.iterations:
+        if progress.iteration >= progress.iterations:
             return False
         least = MIN_TIMEOUT_S if self.heard_at > asked_at else _STOP_S
         limit = max(least, 5 * self.silence.longest_s)
@@ -200,10 +202,13 @@ class Scheduler:
                 self._end(running, shown)
 
     def _watch(self, shown: Progress) -> None:
-        """Tell the user of training processes that are silent; kill those that do not stop."""
+        """Tell the user of training processes that are silent; kill those that do not stop or do not end."""
         for running in self._running.values():
             name, silent = running.job.progress.name, running.silent_s
-            if self._asked_to_stop_at is not None:
+            if running.job.progress.status in OVER:
+                if silent > _END_S and not running.is_killed:
+                    running.kill()  # nothing is lost: its final event has arrived
+            elif self._asked_to_stop_at is not None:
                 if not running.is_killed and running.does_not_stop(self._asked_to_stop_at):
                     shown.note(f"{name} does not stop: killed; training after the last checkpoint is lost")
                     running.kill()

@@ -83,6 +83,16 @@ def test_a_training_process_that_does_not_stop_is_killed(
     assert "seed 0 does not stop" in told
 
 
+def test_a_training_process_that_hangs_after_its_final_event_is_killed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It may wait for ever for a worker that cannot end; its result has arrived."""
+    monkeypatch.setattr(scheduler, "_END_S", 0.3)
+    hanging = _Silent((*BEGUN, Finished(10, stopped=False)))
+    assert _run([hanging], lambda: None) == ["finished"]
+    assert hanging.killed
+
+
 @pytest.mark.parametrize(
     ("lost", "is_asked", "status"),
     [(True, True, "stopped"), (True, False, "failed"), (False, True, "failed")],
