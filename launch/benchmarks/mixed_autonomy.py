@@ -28,10 +28,19 @@ PUBLISHED: Mapping[str, tuple[float | None, ...]] = {
 for both roads, the one that has no file."""
 
 
-def outflow(controller: str, demand: str, seeds: int = 3) -> tuple[float, float]:
-    """Return the outflow, veh/h, and the collided vehicles per episode, means over `seeds` episodes."""
+SHARES: Mapping[float, float | None] = {
+    0.05: None, 0.1: None, 0.15: None, 0.333: 2688.8, 0.5: 2806.6, 1.0: None
+}  # fmt: skip
+"""Published outflow of the learned policy at 700x700, veh/h, by share of automated vehicles."""
+
+
+def outflow(controller: str, demand: str, seeds: int = 3, **arguments: float) -> tuple[float, float]:
+    """Return the outflow, veh/h, and the collided vehicles per episode, means over `seeds` episodes.
+
+    `arguments`: other arguments of the environment.
+    """
     entry = env_entry("junctions")
-    prepared, rows = entry.prepare(entry.config(demand=demand)), []
+    prepared, rows = entry.prepare(entry.config(demand=demand, **arguments)), []
     with closing(entry.make(prepared, 1)) as env:
         for seed in range(1, seeds + 1):
             rule, ended = entry.rules[controller].make(prepared), False
@@ -61,3 +70,23 @@ def report() -> None:
             cells.append(f"{ours:,.0f} / {theirs:,.0f} ({100 * (ours / theirs - 1):+.1f}%)")
         print(f"| {demand} | {' | '.join(cells)} |", flush=True)
     print(f"\nThree episodes per cell; {crashes:.0f} collided vehicles in all.")
+    _report_shares()
+
+
+def _report_shares(demand: str = "700x700") -> None:
+    """Print how many vehicles automated ones let through that agree on a signal, by their share."""
+    print(f"\n## The same crossing at {demand}: outflow, veh/h, by share of automated vehicles\n")
+    print(
+        "| share | humans do not yield: `virtual_signal` | collided | humans yield | collided | published |"
+    )
+    print("|---:|---:|---:|---:|---:|---:|")
+    for share, published in SHARES.items():
+        cells = []
+        for mode in (1, 31):
+            ours = outflow("virtual_signal", demand, automated_share=share, hdv_speed_mode=mode)
+            cells += [f"{ours[0]:,.0f}", f"{ours[1]:.1f}"]
+        cells.append("" if published is None else f"{published:,.0f}")
+        print(f"| {share:.1%} | {' | '.join(cells)} |", flush=True)
+    print()
+    for rule in ("human_mode1", "human"):
+        print(f"Rule `{rule}`: {outflow(rule, demand, hdv_speed_mode=1)[0]:,.0f} veh/h.")

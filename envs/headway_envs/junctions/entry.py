@@ -31,6 +31,10 @@ ENTRY = EnvEntry(
             "signal, with the greens that Yan and Wu (2021, arXiv:2111.04686) found best for their demands",
             partial(Lazy(f"{_RULES}:FixedSignal"), best=True),
         ),
+        "virtual_signal": RuleEntry(
+            "signal_best that only automated vehicles observe (Ferreira et al. 2010)",
+            Lazy(f"{_RULES}:VirtualSignal"),
+        ),
         "max_pressure": RuleEntry(
             "signal, with green every 12 s for the phase of maximum pressure (Varaiya 2013)",
             Lazy(f"{_RULES}:MaxPressure"),

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from headway.contracts import BatchedEnv, Observations
 from headway_envs.junctions.env import JunctionsBatchedEnv
 from headway_envs.junctions.prepared import Prepared
+from headway_envs.junctions.traffic import ACCELERATIONS
 
 ALL_CHECKS, SAFE_GAP_ONLY = 31, 1
 """SUMO's speed modes: all checks, including right of way; only a safe gap to the leader."""
@@ -20,6 +21,7 @@ BEST_GREENS_S: Mapping[tuple[int, int], tuple[float, float]] = {
 }  # fmt: skip
 """Greens of the horizontal and the vertical road, s, by demand, vehicles per hour and direction, that Yan and
 Wu found best."""
+_BRAKE, _KEEP, _ACCELERATE = range(3)
 BETWEEN_DECISIONS_S = 12.0
 """Time between two decisions of max pressure, s: the best of Yan and Wu."""
 
@@ -31,7 +33,7 @@ def _require_junctions(env: BatchedEnv) -> JunctionsBatchedEnv:
 
 
 def _no_actions(observed: Observations) -> NDArray[np.int64]:
-    return np.ones(observed.alive.shape, np.int64)
+    return np.full(observed.alive.shape, _KEEP, np.int64)
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ class FixedSignal:
     def __init__(self, prepared: Prepared, best: bool = False) -> None:
         """`best`: the greens that Yan and Wu found best for the demand, where they are known, instead of
         those in the network's file."""
+        self.prepared = prepared
         self._signals = dict(prepared.network.signals)
         greens = BEST_GREENS_S.get(prepared.config.vph or (0, 0))
         if best and greens is not None:
@@ -68,14 +71,61 @@ class FixedSignal:
         """Return actions (1, N), which the environment ignores."""
         native = _require_junctions(env)
         native.traffic.hand_over(ALL_CHECKS)
-        for name, signal in self._signals.items():
-            place = native.steps_taken * native.config.step_s % sum(length for length, _ in signal.phases)
-            for length, state in signal.phases:
-                if place < length:
-                    native.traffic.set_signal(name, state)
-                    break
-                place -= length
+        for name, state in self._states(native).items():
+            native.traffic.set_signal(name, state)
         return _no_actions(observed)
+
+    def _states(self, env: JunctionsBatchedEnv) -> dict[str, str]:
+        """Return the present state of each traffic light."""
+        found = {}
+        for name, signal in self._signals.items():
+            ends = np.cumsum([length for length, _ in signal.phases])
+            place = env.steps_taken * env.config.step_s % ends[-1]
+            found[name] = signal.phases[int(np.searchsorted(ends, place, side="right"))][1]
+        return found
+
+
+class VirtualSignal(FixedSignal):
+    """Traffic lights with the greens of `signal_best` that only AVs observe, and thereby impose on the human
+    drivers behind them (Ferreira et al. 2010, "Self-organized traffic control").
+
+    An AV at red stops before the line, unless it is too close; otherwise it accelerates."""
+
+    STOP_M = 3.0
+    """Distance to the line at which an AV stops, m."""
+
+    def __init__(self, prepared: Prepared) -> None:
+        super().__init__(prepared, best=True)
+        self._links = {
+            before: [(name, place) for place, link in enumerate(signal.links) if link[0] == before]
+            for name, signal in self._signals.items()
+            for before, _ in signal.links
+        }
+
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
+        """Return actions (1, N)."""
+        native = _require_junctions(env)
+        states, actions = self._states(native), np.full(observed.alive.shape, _ACCELERATE, np.int64)
+        lanes = self.prepared.network.approaches
+        for vehicle in native.traffic.vehicles.values():
+            if vehicle.slot < 0 or vehicle.approach < 0 or vehicle.distance < 0:
+                continue
+            links = self._links.get(lanes[vehicle.approach], [])
+            red = bool(links) and not any(states[name][place] in "gG" for name, place in links)
+            if red and self._must_brake(vehicle.speed, vehicle.distance, native.config.step_s):
+                actions[0, vehicle.slot] = _BRAKE
+        return actions
+
+    def _must_brake(self, speed: float, distance: float, step_s: float) -> bool:
+        """Return whether a vehicle can still stop before the line, but not after one more step of
+        acceleration."""
+        next_speed = speed + ACCELERATIONS[_ACCELERATE] * step_s
+        left = distance - next_speed * step_s - self.STOP_M
+        return _stopping_m(speed) <= distance and _stopping_m(next_speed) > left
+
+
+def _stopping_m(speed: float) -> float:
+    return speed**2 / (-2 * ACCELERATIONS[_BRAKE])
 
 
 class MaxPressure:

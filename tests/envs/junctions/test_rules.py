@@ -84,6 +84,29 @@ def test_without_lights_vehicles_obey_the_right_of_way(
     assert driven[0] == driven[1]
 
 
+@pytest.mark.parametrize("share", [0.333, 1.0])
+def test_avs_stop_human_drivers_at_a_virtual_signal(share: float, junctions: Open) -> None:
+    """Only vehicles that cannot stop cross at red, and almost as many leave as under a real signal."""
+    env = junctions(horizon=1000, hdv_speed_mode=1, automated_share=share)
+    controller, observed = ENTRY.rules["virtual_signal"].make(env.prepared), env.reset(SEED)
+    for step in range(1000):
+        red = 1 - step // 50 % 2  # the parity of the approaches that have red: north is 0
+        before = {
+            name: (vehicle.speed, vehicle.distance)
+            for name, vehicle in env.traffic.vehicles.items()
+            if vehicle.slot >= 0 and vehicle.distance >= 0 and vehicle.approach % 2 == red
+        }
+        outcome, observed = env.step(controller.act(env, observed))
+        for name, (speed, distance) in before.items():
+            vehicle = env.traffic.vehicles.get(name)
+            if vehicle is not None and vehicle.distance < 0:
+                assert speed**2 / 7 > distance
+    found = dict(zip(env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
+    assert set(libsumo().trafficlight.getRedYellowGreenState("centre")) == set("oO")
+    assert found["collided_vehicles"] == 0
+    assert found["outflow_vph"] > 2600
+
+
 def test_human_drivers_yield_and_ignore_actions(junctions: Open) -> None:
     def left(rule: str) -> float:
         env = junctions(horizon=600, warm_up_s=0)
