@@ -97,9 +97,7 @@ def test_every_key_is_read(name: str, choices: dict[str, Any]) -> None:
         ("mappo", {"model": {"sequence_length": 3}}, "algo.model.sequence_length applies only with core=gru"),
     ],
 )
-def test_a_value_without_effect_beside_the_others_is_refused(
-    name: str, settings: dict[str, Any], message: str
-) -> None:
+def test_values_without_effect_are_refused(name: str, settings: dict[str, Any], message: str) -> None:
     with pytest.raises(HeadwayError, match=message):
         build(ENTRIES[name].record_for(settings), settings, "algo", name)
 

@@ -55,9 +55,7 @@ def _runs(name: str, policies: str, space: ActionSpace) -> bool:
     ("name", "policies", "space"),
     pairwise(ENTRIES, ["independent", "shared", "groups"], [Discrete(2), Box((-1.0,), (1.0,))], where=_runs),
 )
-def test_every_entry_makes_a_learner_and_an_acting_policy(
-    name: str, policies: str, space: ActionSpace
-) -> None:
+def test_every_entry_makes_learners_and_acting_policies(name: str, policies: str, space: ActionSpace) -> None:
     entry, spec = ENTRIES[name], replace(SPEC, action_space=space)
     config = entry.config(policies=policies)
     assert entry.refuses(config, spec) is None
@@ -104,9 +102,7 @@ def test_critic_actions_are_for_central_critics_only(critic: str) -> None:
         ("custom", {"update": "a2c", "order": "sequential"}, "algo.order=simultaneous"),
     ],
 )
-def test_the_sequential_order_needs_several_policies(
-    name: str, changes: dict[str, Any], instead: str
-) -> None:
+def test_sequential_order_needs_several_policies(name: str, changes: dict[str, Any], instead: str) -> None:
     entry = ENTRIES[name]
     for policies in ("independent", "groups"):
         assert entry.refuses(entry.config(**changes, policies=policies), SPEC) is None

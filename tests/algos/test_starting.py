@@ -1,29 +1,23 @@
 """Learners that start from the policies of another run."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from learned import assert_equal, reloaded, tensors
+from learned import assert_equal, reloaded, starting_learner, tensors
 from made_trajectories import fabricate
 
-from headway.contracts import Box, Discrete, EnvSpec, HeadwayError, StartingLearner
+from headway.contracts import Box, Discrete, EnvSpec, HeadwayError
 from headway_algos.config import ModelConfig
-from headway_algos.registry import ENTRIES, configure
 
 SPEC = EnvSpec("made", ("a", "b"), 3, Discrete(3), state_size=2)
 BOX = replace(SPEC, action_space=Box((-1.0,), (1.0,)))
 LARGER_STATE = replace(SPEC, state_size=4)
 MODEL = ModelConfig(hidden=(8,))
+_learner = partial(starting_learner, model=MODEL)
 GRU = ModelConfig(hidden=(8,), core="gru", gru_size=4, sequence_length=5)
-
-
-def _learner(algorithm: str, spec: EnvSpec, seeds: tuple[int, ...], **settings: Any) -> StartingLearner:  # noqa: ANN401 - hyper-parameters
-    config = configure(algorithm, **{"model": MODEL, **settings})
-    learner = ENTRIES[algorithm].learner(config, spec, seeds, "cpu")
-    assert isinstance(learner, StartingLearner)
-    return learner
 
 
 @pytest.mark.parametrize(

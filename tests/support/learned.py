@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
-from headway.contracts import Trajectory
+from headway.contracts import EnvSpec, StartingLearner, Trajectory
+from headway_algos.networks.mlp import StackedMLP
+from headway_algos.registry import ENTRIES, configure
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -43,6 +46,28 @@ def reloaded(state: dict[str, Any]) -> Any:  # noqa: ANN401 - as torch loads it
     torch.save(state, file)
     file.seek(0)
     return torch.load(file, map_location="cpu", weights_only=True)
+
+
+def starting_learner(
+    algorithm: str,
+    spec: EnvSpec,
+    seeds: tuple[int, ...] = (3,),
+    **settings: Any,  # noqa: ANN401 - hyper-parameters
+) -> StartingLearner:
+    """Return a learner that can start from a rule or another run."""
+    learner = ENTRIES[algorithm].learner(configure(algorithm, **settings), spec, seeds, "cpu")
+    assert isinstance(learner, StartingLearner)
+    return learner
+
+
+def alone(stacked: StackedMLP, p: int) -> nn.Sequential:
+    """Return network p of a stack as a plain one, with copies of its parameters."""
+    layers: list[nn.Module] = []
+    for weight, bias in zip(stacked.weights, stacked.biases, strict=True):
+        linear = nn.Linear(weight.shape[2], weight.shape[1], dtype=weight.dtype)
+        linear.weight.data, linear.bias.data = weight.data[p].clone(), bias.data[p, :, 0].clone()
+        layers += [linear, nn.Tanh() if stacked.activation == "tanh" else nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:

@@ -46,6 +46,13 @@ def random_rows(spec: EnvSpec, stack: int, count: int, seed: int = 1) -> tuple[P
     return PolicyBatch(observations, masks, actions, 0.3 * moved - np.log(A), selected), advantages
 
 
+def damped_kronecker(inputs: Tensor, signals: Tensor, damping: float) -> Tensor:
+    """Return (A + pi sqrt(lambda) I) x (G + sqrt(lambda) / pi I) of one layer of one network."""
+    pi = ((inputs.trace() / len(inputs)) / (signals.trace() / len(signals))).sqrt()
+    one = inputs + pi * damping**0.5 * torch.eye(len(inputs), dtype=DOUBLE)
+    return torch.kron(one, signals + damping**0.5 / pi * torch.eye(len(signals), dtype=DOUBLE))
+
+
 class OnePolicy:
     """Policy p of a stack and its rows, by torch.distributions; its parameters are one vector (V,)."""
 

@@ -56,9 +56,7 @@ def _torch_outputs(learner: OffPolicyLearner, observed: Observations) -> NDArray
     ("policies", "precision", "replicas"),
     pairwise(["independent", "shared", "groups"], ["float32", "float64"], [1, 3]),
 )
-def test_greedy_actions_and_log_probabilities_equal_torch(
-    policies: Policies, precision: str, replicas: int
-) -> None:
+def test_greedy_actions_and_log_probs_equal_torch(policies: Policies, precision: str, replicas: int) -> None:
     spec = spec_with(SPACES["madqn"])
     learner, acting = _learner("madqn", policies, precision, tuple(range(replicas)))
     learner.progress = 0.3
@@ -131,9 +129,7 @@ def _ornstein_uhlenbeck(
 
 
 @pytest.mark.parametrize(("theta", "sigma"), [(0.15, 0.2), (0.5, 1.0), (1.0, 0.3)])
-def test_noise_has_the_variance_and_autocorrelation_of_an_ornstein_uhlenbeck_process(
-    theta: float, sigma: float
-) -> None:
+def test_noise_has_variance_and_autocorrelation_of_ornstein_uhlenbeck(theta: float, sigma: float) -> None:
     """Discretised with step 1: variance sigma^2 / (1 - (1 - theta)^2), autocorrelation (1 - theta)^lag."""
     agents, steps = 400, 300
     policy, parameters = _ornstein_uhlenbeck(theta, sigma, agents)

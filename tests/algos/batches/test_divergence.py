@@ -28,7 +28,5 @@ def test_networks_that_took_no_step_do_not_count_in_the_mean() -> None:
         ("madqn", {}, False, "lower algo.lr or algo.grad_clip"),
     ],
 )
-def test_the_advice_names_keys_of_the_algorithm(
-    name: str, settings: dict[str, Any], of_critic: bool, advice: str
-) -> None:
+def test_advice_names_keys_in_use(name: str, settings: dict[str, Any], of_critic: bool, advice: str) -> None:
     assert remedy(configure(name, **settings), of_critic) == advice

@@ -174,9 +174,7 @@ def test_an_unknown_value_of_policies_is_refused() -> None:
 
 
 @pytest.mark.parametrize("piece_rows", [5, 1000])
-def test_prefetched_rows_equal_those_of_each_minibatch(
-    monkeypatch: pytest.MonkeyPatch, piece_rows: int
-) -> None:
+def test_prefetched_rows_are_those_of_minibatches(monkeypatch: pytest.MonkeyPatch, piece_rows: int) -> None:
     """Prefetching is tested for several tensors, in blocks that divide the minibatches and in others."""
     selected = np.random.default_rng(4).random((3, 40)) < [[0.9], [0.5], [0.05]]
     rows = [torch.from_numpy(np.random.default_rng(5).normal(size=(3, 40, *more))) for more in ((2,), ())]

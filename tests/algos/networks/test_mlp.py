@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from torch import nn
+from learned import alone
 
 from headway.contracts import generator
 from headway_algos.networks.mlp import StackedMLP, orthogonal, tanh_layer
@@ -68,13 +68,7 @@ def test_stacked_networks_equal_each_alone_in_torch(activation: str) -> None:
     rows = torch.randn(6, 11, 5, dtype=DOUBLE, generator=torch.Generator().manual_seed(3))
     got = stacked(rows)
     for p in range(6):
-        layers: list[nn.Module] = []
-        for weight, bias in zip(stacked.weights, stacked.biases, strict=True):
-            linear = nn.Linear(weight.shape[2], weight.shape[1], dtype=DOUBLE)
-            linear.weight.data, linear.bias.data = weight.data[p], bias.data[p, :, 0]
-            layers += [linear, nn.Tanh() if activation == "tanh" else nn.ReLU()]
-        alone = nn.Sequential(*layers[:-1])(rows[p])
-        torch.testing.assert_close(got[p].T, alone, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(got[p].T, alone(stacked, p)(rows[p]), rtol=1e-12, atol=1e-12)
 
 
 def test_a_policys_first_weights_depend_on_its_seed_and_place_alone() -> None:

@@ -11,15 +11,7 @@ from learned import assert_close, assert_equal, of_agents, tensors
 from made_trajectories import fabricate, poisoned
 from numpy.typing import NDArray
 
-from headway.contracts import (
-    ActionSpace,
-    Box,
-    Discrete,
-    EnvSpec,
-    HeadwayError,
-    Trajectory,
-    TrajectoryLayout,
-)
+from headway.contracts import ActionSpace, Box, Discrete, EnvSpec, HeadwayError, Trajectory, TrajectoryLayout
 from headway_algos.off_policy.learner import OffPolicyLearner
 from headway_algos.registry import ENTRIES
 from headway_algos.replay_config import DDPGConfig, MADQNConfig, NetworkConfig, ReplayConfig
@@ -58,9 +50,7 @@ def _tensors(learner: OffPolicyLearner) -> dict[str, NDArray[Any]]:
 
 
 @every_case
-def test_an_independent_policy_trains_the_same_alone_and_among_others(
-    config: ReplayConfig, spec: EnvSpec
-) -> None:
+def test_an_independent_policy_trains_alone_as_among_others(config: ReplayConfig, spec: EnvSpec) -> None:
     among = _learner(config, spec, (4,))
     alone = _learner(config, replace(spec, agents=("a",), groups=("x",)), (4,))
     start = _tensors(alone)
@@ -105,9 +95,7 @@ def test_nothing_is_learned_before_the_buffer_holds_enough(config: ReplayConfig,
 
 @every_case
 @pytest.mark.parametrize("normalised", [True, False])
-def test_with_normalised_rewards_their_unit_does_not_matter(
-    config: ReplayConfig, spec: EnvSpec, normalised: bool
-) -> None:
+def test_normalised_rewards_have_no_unit(config: ReplayConfig, spec: EnvSpec, normalised: bool) -> None:
     """Rewards eight times larger, a power of two, give values eight times larger; all else is the same."""
     config = replace(config, normalise_rewards=normalised)
     first, second = (_learner(config, spec, (1, 2)) for _ in range(2))

@@ -147,25 +147,19 @@ def test_without_snapshots_transitions_end_with_the_iteration() -> None:
 
 
 def test_open_decisions_are_kept_in_the_state() -> None:
+    """Also from a state stored before masks were kept."""
     parts = [fabricate(SPEC, 5, 4, seed=i, absent=0.3, idle=0.6) for i in range(2)]
-    builder, other = (TransitionBuilder(SPEC, GAMMA, 2) for _ in range(2))
+    builder, other, later = (TransitionBuilder(SPEC, GAMMA, 2) for _ in range(3))
     builder.transitions(parts[0])
     state = builder.state_dict()
     assert len(state["streams"]) > 3
     other.load_state_dict(state)
-    continued, restored = builder.transitions(parts[1]), other.transitions(parts[1])
+    later.load_state_dict({name: value for name, value in state.items() if name != "masks"})
+    continued, restored, upgraded = (each.transitions(parts[1]) for each in (builder, other, later))
     for name in Transitions.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(restored, name), getattr(continued, name))
-
-
-def test_a_state_stored_before_masks_were_kept_is_restored() -> None:
-    parts = [fabricate(SPEC, 5, 4, seed=i, absent=0.3, idle=0.6) for i in range(2)]
-    builder, other = (TransitionBuilder(SPEC, GAMMA, 2) for _ in range(2))
-    builder.transitions(parts[0])
-    other.load_state_dict({name: value for name, value in builder.state_dict().items() if name != "masks"})
-    continued, restored = builder.transitions(parts[1]), other.transitions(parts[1])
-    np.testing.assert_array_equal(restored.returns, continued.returns)
-    assert (restored.next_masks >= continued.next_masks).all()
+    np.testing.assert_array_equal(upgraded.returns, continued.returns)
+    assert (upgraded.next_masks >= continued.next_masks).all()
 
 
 def test_box_actions_are_stored_with_all_components() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from covering import quick_or_slow
+from learned import alone
 from made_trajectories import BOX, DISCRETE, TEAM, fabricate, naive_advantages, poisoned
 from numpy.typing import NDArray
 from torch import Tensor, nn
@@ -97,15 +98,6 @@ class Moments:
         return np.clip((row - mean) / std, -10, 10)
 
 
-def _module(stacked: StackedMLP, p: int) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    for weight, bias in zip(stacked.weights, stacked.biases, strict=True):
-        linear = nn.Linear(weight.shape[2], weight.shape[1], dtype=DOUBLE)
-        linear.weight.data, linear.bias.data = weight.data[p].clone(), bias.data[p, :, 0].clone()
-        layers += [linear, nn.Tanh() if stacked.activation == "tanh" else nn.ReLU()]
-    return nn.Sequential(*layers[:-1])
-
-
 def _vector(tensors: Sequence[Tensor]) -> Tensor:
     return torch.cat([tensor.reshape(-1) for tensor in tensors])
 
@@ -173,7 +165,7 @@ class Naive:
         ]
 
     def _policy(self, k: int, agents: list[int], like: OnPolicyLearner) -> Policy:
-        network, log_std = _module(like.actor.network, k), None
+        network, log_std = alone(like.actor.network, k), None
         if like.actor.log_std is not None:
             log_std = nn.Parameter(like.actor.log_std.data[k, :, 0].clone())
         tensors = [*network.parameters(), *([] if log_std is None else [log_std])]
@@ -181,7 +173,7 @@ class Naive:
         return Policy(agents, network, log_std, adam, Moments(), getattr(self.config, "kl_coeff", 0.0))
 
     def _value(self, k: int, viewers: list[int], like: OnPolicyLearner) -> Value:
-        network = _module(like.critic.networks.network, k)
+        network = alone(like.critic.networks.network, k)
         adam = torch.optim.Adam(network.parameters(), self.config.critic_lr or 0.0, eps=1e-5)
         return Value(viewers, network, adam, Moments(), Moments())
 
@@ -435,16 +427,14 @@ def _assert_same(stacked: StackedMLP, p: int, network: nn.Sequential) -> None:
 
 
 @pytest.mark.parametrize(
-    ("config", "spec"),
-    quick_or_slow(CASES, "ippo box, relu", "mappo team", "itrpo", "haa2c"),
+    ("config", "spec"), quick_or_slow(CASES, "ippo box, relu", "mappo team", "itrpo", "haa2c")
 )
 def test_an_update_equals_the_naive_one(config: AlgoConfig, spec: EnvSpec) -> None:
     seeds, copies = (4, 8), 2
     learner = OnPolicyLearner(config, spec, seeds, "cpu")
     replicas = []
     for r, seed in enumerate(seeds):
-        alone = OnPolicyLearner(config, spec, (seed,), "cpu")
-        replicas.append((r, Naive(config, spec, seed, alone)))
+        replicas.append((r, Naive(config, spec, seed, OnPolicyLearner(config, spec, (seed,), "cpu"))))
     for iteration in (1, 2):
         made = fabricate(spec, 8, 2 * copies, seed=iteration, absent=0.2, idle=0.2, leaves=0.03)
         learner.update(poisoned(made), iteration, iteration / 4)

@@ -1,11 +1,12 @@
 """Policies that imitate a rule's actions."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from learned import assert_equal, joined, tensors
+from learned import assert_equal, joined, starting_learner, tensors
 from made_trajectories import fabricate
 from numpy.typing import NDArray
 
@@ -16,9 +17,9 @@ from headway.contracts import (
     MultiDiscrete,
     Observations,
     RecurrentPolicy,
-    StartingLearner,
     Trajectory,
 )
+from headway_algos.acting.policy import acting_policy
 from headway_algos.config import ModelConfig
 from headway_algos.on_policy.warm_start import WarmStartLearner
 from headway_algos.registry import ENTRIES, configure
@@ -28,6 +29,8 @@ MASKED = replace(SPEC, has_action_mask=True, agents_come_and_go=True)
 TWO_CHOICES = replace(SPEC, action_space=MultiDiscrete((3, 2)))
 BOX = replace(SPEC, action_space=Box((-1.0, -1.0), (1.0, 1.0)))
 MODEL = ModelConfig(hidden=(16, 16))
+POLICY = acting_policy(configure("ippo", model=MODEL), SPEC)
+_learner = partial(starting_learner, model=MODEL)
 GRU = ModelConfig(hidden=(16,), core="gru", gru_size=8, sequence_length=5)
 SCORES = np.array([[1.0, -0.6, 0.2], [-0.4, 0.9, 0.5], [0.1, 0.3, -1.2]])
 """(D, A): the rule's linear scores of the actions."""
@@ -67,10 +70,8 @@ def _played_by_rule(spec: EnvSpec, hidden_size: int, seed: int, copies: int) -> 
 def test_greedy_actions_become_those_of_the_rule(
     algorithm: str, spec: EnvSpec, settings: dict[str, Any], seeds: tuple[int, ...]
 ) -> None:
-    config = configure(algorithm, **{"model": MODEL, **settings})
-    learner = ENTRIES[algorithm].learner(config, spec, seeds, "cpu")
-    assert isinstance(learner, StartingLearner)
-    policy = ENTRIES[algorithm].acting_policy(config, spec)
+    learner = _learner(algorithm, spec, seeds, **settings)
+    policy = ENTRIES[algorithm].acting_policy(configure(algorithm, **{"model": MODEL, **settings}), spec)
     hidden_size = policy.hidden_size if isinstance(policy, RecurrentPolicy) else 0
     before = learner.acting_parameters()
     for iteration in range(1, 16):
@@ -98,9 +99,7 @@ def test_greedy_actions_become_those_of_the_rule(
 
 def _agreement(iterations: int) -> float:
     """Return how many greedy actions are the rule's, on observations far from 0, after imitation."""
-    config = configure("ippo", model=MODEL)
-    learner = ENTRIES["ippo"].learner(config, SPEC, (3,), "cpu")
-    assert isinstance(learner, StartingLearner)
+    learner = _learner("ippo", SPEC)
     for iteration in range(1, iterations + 1):
         made = fabricate(SPEC, 128 // iterations, 64, seed=iteration)
         made.actions[:] = _rule_actions(SPEC, made.observations[:-1], made.action_masks)
@@ -108,11 +107,11 @@ def _agreement(iterations: int) -> float:
         learner.imitate(made, iteration, iterations)
     new = fabricate(SPEC, 32, 1, seed=99)
     expected = _rule_actions(SPEC, new.observations[:-1], new.action_masks)
-    policy, parameters = ENTRIES["ippo"].acting_policy(config, SPEC), learner.acting_parameters()
+    parameters = learner.acting_parameters()
     seen = (30 + 10 * new.observations).astype(np.float32)
     steps = range(len(new.rewards))
     observed = [Observations(seen[t], new.states[t], new.alive[t]) for t in steps]
-    return float(np.mean([policy.act(parameters, observed[t], None)[0] == expected[t] for t in steps]))
+    return float(np.mean([POLICY.act(parameters, observed[t], None)[0] == expected[t] for t in steps]))
 
 
 def test_one_iteration_is_enough_whatever_the_scale_of_observations() -> None:
@@ -124,9 +123,7 @@ def test_steps_of_recurrent_policies_shrink_towards_the_end() -> None:
     """Steps of Adam are proportional to the learning rate."""
     moved = []
     for iteration in (1, 100):
-        config = configure("ippo", model=GRU, precision="float64")
-        learner = ENTRIES["ippo"].learner(config, SPEC, (3,), "cpu")
-        assert isinstance(learner, StartingLearner)
+        learner = _learner("ippo", SPEC, model=GRU, precision="float64")
         before = learner.acting_parameters()["weight_0"].copy()
         learner.imitate(_played_by_rule(SPEC, 8, 1, 2), iteration, 100)
         moved.append(np.abs(learner.acting_parameters()["weight_0"] - before).max())
@@ -135,9 +132,7 @@ def test_steps_of_recurrent_policies_shrink_towards_the_end() -> None:
 
 def test_the_critic_learns_the_returns_of_the_rule() -> None:
     """Every step pays 1 and ends its stream: the return of each is 1."""
-    learner = ENTRIES["mappo"].learner(
-        configure("mappo", model=MODEL, normalise_values=False), SPEC, (3,), "cpu"
-    )
+    learner = _learner("mappo", SPEC, normalise_values=False)
     losses: list[float] = []
     for iteration in range(1, 11):
         trajectory = fabricate(SPEC, 64, 8, seed=iteration, ends=1.0)
@@ -149,8 +144,7 @@ def test_the_critic_learns_the_returns_of_the_rule() -> None:
 
 
 def test_actions_that_the_mask_forbids_teach_nothing() -> None:
-    config = configure("ippo", model=MODEL, normalise_observations=False)
-    learner = ENTRIES["ippo"].learner(config, MASKED, (3,), "cpu")
+    learner = _learner("ippo", MASKED, normalise_observations=False)
     before = tensors(learner.state_dict()["actor"])
     trajectory = _played_by_rule(MASKED, 0, 1, 8)
     trajectory.action_masks[:] = np.arange(3) != trajectory.actions.max()
@@ -187,9 +181,7 @@ def test_seeds_of_a_stack_imitate_as_each_would_alone(policies: str, spec: EnvSp
 
 def test_choices_that_are_rare_and_come_in_one_part_of_an_episode_are_imitated() -> None:
     """The rule takes action 2 in one of 250 decisions, and only the first of ten iterations shows it."""
-    config = configure("ippo", model=MODEL)
-    learner = ENTRIES["ippo"].learner(config, SPEC, (3,), "cpu")
-    assert isinstance(learner, StartingLearner)
+    learner = _learner("ippo", SPEC)
 
     def rule(observations: NDArray[np.float32]) -> NDArray[np.bool_]:
         return observations[..., 0] > 2.65  # one of 250 draws of a standard normal
@@ -203,8 +195,8 @@ def test_choices_that_are_rare_and_come_in_one_part_of_an_episode_are_imitated()
         made.log_probs[:] = 0
         learner.imitate(made, iteration, 10)
     grid = np.stack(np.meshgrid([-1.0, 0.0, 2.4, 2.9, 3.2], [-1.0, 1.0], [0.0]), -1).reshape(-1, 3)
-    policy, parameters = ENTRIES["ippo"].acting_policy(config, SPEC), learner.acting_parameters()
+    parameters = learner.acting_parameters()
     for observed in grid.astype(np.float32):
         both = np.tile(observed, (1, 2, 1))
-        chosen = policy.act(parameters, Observations(both, np.zeros((1, 2)), np.ones((1, 2), bool)), None)[0]
+        chosen = POLICY.act(parameters, Observations(both, np.zeros((1, 2)), np.ones((1, 2), bool)), None)[0]
         assert (chosen == np.where(rule(both), 2, both[..., 1] > 0)).all(), observed

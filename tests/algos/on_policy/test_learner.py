@@ -88,9 +88,7 @@ def _tensors(learner: OnPolicyLearner) -> dict[str, NDArray[Any]]:
         (replace(MAACKTR, policies="independent"), DISCRETE),
     ],
 )  # fmt: skip
-def test_an_independent_policy_trains_the_same_alone_and_among_others(
-    config: AlgoConfig, spec: EnvSpec
-) -> None:
+def test_an_independent_policy_trains_alone_as_among_others(config: AlgoConfig, spec: EnvSpec) -> None:
     among = OnPolicyLearner(config, spec, (5,), "cpu")
     alone = OnPolicyLearner(config, replace(spec, agents=("a",), groups=("x",)), (5,), "cpu")
     for iteration in range(1, 4):
@@ -123,9 +121,7 @@ def test_poisoned_rows_without_experience_change_nothing(config: AlgoConfig, spe
         (MAACKTR, replace(DISCRETE, shared_reward=True)),
     ],
 )  # fmt: skip
-def test_unused_slots_change_nothing(
-    monkeypatch: pytest.MonkeyPatch, config: AlgoConfig, spec: EnvSpec
-) -> None:
+def test_unused_slots_do_nothing(monkeypatch: pytest.MonkeyPatch, config: AlgoConfig, spec: EnvSpec) -> None:
     """A learner that trims unused slots, a different number per iteration and once all, trains the same as
     one that trims none. One agent appears after the last step, when the others have left: the team's value
     there depends on that agent only."""

@@ -137,9 +137,7 @@ def test_products_over_several_seeds_would_be_detected(name: str) -> None:
 
 
 @every_case
-def test_training_resumed_from_a_checkpoint_is_exact(
-    name: str, settings: dict[str, Any], spec: EnvSpec
-) -> None:
+def test_resumed_training_is_exact(name: str, settings: dict[str, Any], spec: EnvSpec) -> None:
     """Checkpoints are from before and after the split of a shared policy, with hidden states and whole replay
     buffers."""
     first, second = (_learner(name, settings, spec, SEEDS) for _ in range(2))

@@ -119,10 +119,7 @@ def _state(learned: GradientUpdate | ReturnRegression) -> list[Tensor]:
     ),
 )
 def test_compiled_policy_updates_equal_torch(
-    space: tuple[str, bool],
-    kl_coeff: float,
-    model: ModelConfig,
-    by_torch: pytest.MonkeyPatch,
+    space: tuple[str, bool], kl_coeff: float, model: ModelConfig, by_torch: pytest.MonkeyPatch
 ) -> None:
     config = replace(CONFIG, kl_coeff=kl_coeff, model=model)
     theirs, their_info = Case(config, *space, (0, 1, 2)).improve()

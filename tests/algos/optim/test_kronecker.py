@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from policy_rows import DOUBLE, damped_kronecker
 from torch import Tensor, nn
 
 from headway_algos.networks.linearised import LinearisedMLP
@@ -10,7 +11,6 @@ from headway_algos.networks.mlp import StackedMLP
 from headway_algos.optim.kronecker import KroneckerFactors, inner, joined
 
 P, B, D, OUTPUTS = 3, 9, 3, 2
-DOUBLE = torch.float64
 DAMPING, DECAY = 0.03, 0.6
 every_activation = pytest.mark.parametrize("activation", ["tanh", "relu"])
 
@@ -84,15 +84,6 @@ def test_factors_are_running_averages_of_those_of_loops_over_rows(activation: st
     assert factors.counts.tolist() == [4, 3, 4]
 
 
-def _explicit(inputs: Tensor, signals: Tensor) -> Tensor:
-    """(A + pi sqrt(lambda) I) x (G + sqrt(lambda) / pi I), of one layer of one network."""
-    pi = ((inputs.trace() / len(inputs)) / (signals.trace() / len(signals))).sqrt()
-    root = DAMPING**0.5
-    one = inputs + pi * root * torch.eye(len(inputs), dtype=DOUBLE)
-    other = signals + root / pi * torch.eye(len(signals), dtype=DOUBLE)
-    return torch.kron(one, other)
-
-
 @every_activation
 def test_solve_and_product_equal_the_full_damped_matrix(activation: str) -> None:
     network = _network(activation)
@@ -105,7 +96,7 @@ def test_solve_and_product_equal_the_full_damped_matrix(activation: str) -> None
     solved, multiplied = factors.solve(direction), factors.product(direction)
     for i, matrix in enumerate(direction):
         for p in range(P):
-            whole = _explicit(factors.averages[2 * i][p], factors.averages[2 * i + 1][p])
+            whole = damped_kronecker(factors.averages[2 * i][p], factors.averages[2 * i + 1][p], DAMPING)
             stacked = matrix[p].T.reshape(-1)  # column by column: (A x G) vec(M) = vec(G M A)
             expected = torch.linalg.solve(whole, stacked).reshape(matrix[p].T.shape).T
             torch.testing.assert_close(solved[i][p], expected, rtol=1e-9, atol=1e-9)

@@ -258,12 +258,7 @@ def _expected(learner: OnPolicyLearner, made: Trajectory, r: int, iteration: int
 
 
 @pytest.mark.parametrize(
-    ("config", "spec"),
-    quick_or_slow(
-        CASES,
-        "coma groups, nothing normalised",
-        "others team box, groups",
-    ),
+    ("config", "spec"), quick_or_slow(CASES, "coma groups, nothing normalised", "others team box, groups")
 )
 def test_estimates_equal_the_loops(config: AlgoConfig, spec: EnvSpec) -> None:
     """Before training, and with target network, critic and normalisers that differ: returns come from the

@@ -201,9 +201,7 @@ def test_an_agent_away_as_the_rollout_ends_awaits_as_much_as_when_last_seen(
 
 
 @pytest.mark.parametrize("config", [IPPO, OTHERS, COMA], ids=["ippo", "others", "coma"])
-def test_the_return_of_an_agent_that_left_includes_its_teams_rewards_until_the_end(
-    config: AlgoConfig,
-) -> None:
+def test_the_return_of_an_agent_that_left_includes_later_rewards_of_its_team(config: AlgoConfig) -> None:
     """The episode terminates after LIMIT steps: (1 - gamma^k) / (1 - gamma) of PAY from k steps before."""
     learner = OnPolicyLearner(replace(config, gae_lambda=1.0), THREE, (1,), "cpu")
     made = _left(THREE, 0, LIMIT, chance=0.1)

@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from policy_rows import BOX, DISCRETE, DOUBLE, A, D, OnePolicy, every_space, random_rows, update_of
+from policy_rows import (
+    BOX,
+    DISCRETE,
+    DOUBLE,
+    A,
+    D,
+    OnePolicy,
+    damped_kronecker,
+    every_space,
+    random_rows,
+    update_of,
+)
 from torch import Tensor, nn
 from torch.distributions import Categorical, Independent, Normal
 
@@ -200,7 +211,7 @@ class Naive:
         solution = torch.linalg.solve(self._block(self.inverses), gradient)
         mu = config.kfac_momentum
         self.direction = mu * self.direction + (1 - mu) * solution
-        curvature = self._block([self._damped(*pair) for pair in self.factors])
+        curvature = self._block([damped_kronecker(*pair, self.config.kfac_damping) for pair in self.factors])
         if config.kfac_length == "exact":
             assert fisher is not None
             if own:
@@ -220,14 +231,7 @@ class Naive:
             for one, other in zip(old, sums, strict=True)
         ]
         if (self.steps - 1) % self.config.kfac_every == 0:
-            self.inverses = [self._damped(*pair) for pair in self.factors]
-
-    def _damped(self, inputs: Tensor, signals: Tensor) -> Tensor:
-        pi = ((inputs.trace() / len(inputs)) / (signals.trace() / len(signals))).sqrt()
-        root = self.config.kfac_damping**0.5
-        one = inputs + pi * root * torch.eye(len(inputs), dtype=DOUBLE)
-        other = signals + root / pi * torch.eye(len(signals), dtype=DOUBLE)
-        return torch.kron(one, other)
+            self.inverses = [damped_kronecker(*pair, self.config.kfac_damping) for pair in self.factors]
 
     def _block(self, layers: list[Tensor]) -> Tensor:
         own = [] if self.log_std is None else [(2 + self.config.kfac_damping) * torch.eye(A, dtype=DOUBLE)]
@@ -258,9 +262,7 @@ MOMENTUM = {"kfac_momentum": 0.4, "kfac_every": 2, "kfac_decay": 0.3}
         pytest.param(DISCRETE, {"kl_bound": 1e9, "lr": 0.02}, marks=pytest.mark.slow),
     ],
 )
-def test_steps_equal_those_of_whole_matrices_and_loops_over_rows(
-    spec: EnvSpec, changes: dict[str, Any]
-) -> None:
+def test_steps_equal_whole_matrices_and_loops_over_rows(spec: EnvSpec, changes: dict[str, Any]) -> None:
     """Three steps, so that averages, inverses and momentum are carried over."""
     config = replace(CONFIG, **changes)
     update = _update(spec, config)
