@@ -1,4 +1,4 @@
-"""Fixtures: a browser page, a small study of trained runs, an empty folder and commands."""
+"""Fixtures: a browser page, a small study of trained runs, and an empty folder."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
@@ -7,7 +7,6 @@ from typing import Any
 
 import chromium
 import pytest
-from command_lines import Output, Refused, RowsOf, RunOutput
 from warm_training import WarmContext
 
 from headway.config.experiment import EnergyConfig
@@ -42,40 +41,6 @@ def _warm_training_processes() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("headway_launch.runner.training_process.get_context", lambda method: WarmContext())
         yield
-
-
-@pytest.fixture
-def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
-    """Check that a command is refused with exit code 2 and one line on stderr, and return that line."""
-
-    def line_of(*words: str) -> str:
-        capsys.readouterr()
-        assert run(words) == 2
-        line = capsys.readouterr().err
-        assert line.startswith("headway: ")
-        assert line.count("\n") == 1
-        return line
-
-    return line_of
-
-
-@pytest.fixture
-def output(capsys: pytest.CaptureFixture[str]) -> RunOutput:
-    """Run a command that succeeds and return what it prints."""
-
-    def output_of(*words: str) -> Output:
-        capsys.readouterr()
-        code, printed = run(words), capsys.readouterr()
-        assert code == 0, printed.err
-        return Output(*printed)
-
-    return output_of
-
-
-@pytest.fixture
-def rows_of(output: RunOutput) -> RowsOf:
-    """Run a command and return the cells of the table that it prints, its header first."""
-    return lambda *words: [line.split("\t") for line in output(*words).out.splitlines()]
 
 
 @pytest.fixture

@@ -20,9 +20,7 @@ ENV_STEPS = {"coma": 20_000, "ddpg": 4_000, "madqn": 5_000}
 
 
 @pytest.mark.parametrize("algorithm", algo_entries())
-def test_defaults_close_half_of_the_gap_between_random_and_optimal_play(
-    algorithm: str, tmp_path: Path
-) -> None:
+def test_defaults_close_half_of_the_gap_from_random_to_optimal_play(algorithm: str, tmp_path: Path) -> None:
     experiment = compose(
         [
             f"env={'tracking' if algorithm == 'ddpg' else 'visitors'}", f"algo={algorithm}", "seed=1",

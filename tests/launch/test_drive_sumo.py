@@ -72,9 +72,7 @@ def driven_by_headway(policy_file: Path, config: IntersectionConfig, seed: int, 
     [({}, True), ({"observation": "paper", "action_repeat": 5}, False)],
     ids=["extended", "paper"],
 )
-def test_the_accelerations_are_those_of_the_environment(
-    arguments: dict[str, Any], trained: bool, tmp_path: Path
-) -> None:
+def test_accelerations_are_the_environments(arguments: dict[str, Any], trained: bool, tmp_path: Path) -> None:
     """Three simulated minutes, in which vehicles enter, cross, leave and crash."""
     steps, config = 1800, IntersectionConfig(horizon=2000, **arguments)
     words = [f"env.args.{key}={value}" for key, value in {"horizon": 2000, **arguments}.items()]

@@ -11,7 +11,7 @@ from textwrap import dedent
 
 import numpy as np
 import pytest
-from command_lines import RunOutput
+from command_lines import output
 from shuttle import SHUTTLE
 from small_runs import SMALL
 
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 @pytest.mark.slow
-def test_run_and_sweep_return_their_runs(output: RunOutput, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_and_sweep_return_their_runs(capsys: pytest.CaptureFixture[str]) -> None:
     """`run` returns its own runs only, `sweep` also those that had finished before. They equal the runs of
     the commands."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}

@@ -23,9 +23,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("notebooks") / "runs"
 
 
-def test_the_first_cell_installs_what_lies_beside_the_notebook(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_cell_installs_what_lies_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notebook = json.loads((PROJECT / "notebooks" / "first_steps.ipynb").read_text(encoding="utf-8"))
     source = "".join(next(cell["source"] for cell in notebook["cells"] if cell["cell_type"] == "code"))
     commands: list[list[str]] = []
@@ -51,9 +49,7 @@ def test_all_notebooks_are_named_here() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PICTURES)
-def test_a_notebook_runs_and_shows_its_pictures(
-    name: str, store: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_notebook_runs_and_shows_pictures(name: str, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import nbformat  # takes as long as torch, and every test process collects this file
     from nbclient import NotebookClient
 

@@ -61,10 +61,7 @@ def _write(text: str, code: int) -> Callable[[Sequence[str]], int]:
     ],
 )  # fmt: skip
 def test_ends_of_commands_are_told_apart(
-    command: Callable[[Sequence[str]], int],
-    outcome: Outcome,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    command: Callable[[Sequence[str]], int], outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(forked, "run", command)
     seconds = 0.2 if outcome is Outcome.HUNG else 60.0

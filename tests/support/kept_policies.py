@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
+from stored_runs import keep
 
 from headway.config.schema import plain
 from headway.contracts import ActingPolicy, EnvSpec
 from headway.policies.stored_spec import spec_json
 from headway.store.atomic_files import write_json
 from headway.store.checkpoint import save_checkpoint
-from headway.store.run_folder import CHECKPOINTS, Process, RunRecord, create_run_folder, now
+from headway.store.run_folder import CHECKPOINTS
 from headway_algos.registry import ENTRIES, configure
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.parameters import full_mapping
@@ -50,15 +50,12 @@ def keep_policy(
 
     `env` and `rest` are the configuration's keys `env` and all others.
     """
-    run_id, folder = create_run_folder(root, "kept", f"{spec.name}-{algorithm}", SEEDS[-1])
-    process = Process.current()
     tags = {"version.headway": "0.1.0", "git.revision": "abc"}
-    record = RunRecord(
-        run_id, "kept", spec.name, algorithm, SEEDS[-1], 5, now(), process, status="FINISHED", tags=tags
+    mapping = {**(rest or {}), "algo": {**plain(config), "name": algorithm}, "env": dict(env)}
+    cell = f"{spec.name}-{algorithm}"
+    folder = keep(
+        root, "kept", SEEDS[-1], spec.name, algorithm, cell, config=mapping, iterations=5, tags=tags
     )
-    record.write(folder)
-    algo = {**plain(config), "name": algorithm}
-    (folder / "config.yaml").write_text(yaml.safe_dump({**(rest or {}), "algo": algo, "env": dict(env)}))
     plan = {"stack": SEEDS, "workers": 1, "scaled_actions": True, "spec": spec_json(spec)}
     write_json(folder / "plan.json", plan)
     acting = ENTRIES[algorithm].acting_policy(config, spec.for_policies)

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+from headway.store.index import RunIndex, RunRow
+
 SMALL = (
     "energy=off", "rollout.copies=4", "rollout.block=2", "rollout.steps=16", "env_steps=64",
     "evaluation.episodes=1", "evaluation.final_episodes=2",
@@ -14,3 +16,8 @@ def end_as(directory: str | Path, status: str = "KILLED", **changes: object) -> 
     """Change the status of a stored run, as if its session had ended otherwise, and other keys."""
     path = Path(directory, "run.json")
     path.write_text(json.dumps(json.loads(path.read_text()) | {"status": status, **changes}))
+
+
+def stored_rows(folder: Path | None = None) -> list[RunRow]:
+    """Return the runs stored in `runs` of a folder, the working directory by default, as they began."""
+    return sorted(RunIndex((folder or Path()) / "runs").rows(), key=lambda row: row.started)

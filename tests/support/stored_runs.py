@@ -1,18 +1,48 @@
-"""Runs of the environment `trivial` in the study `toys`, as sessions leave them in the store."""
+"""Runs as sessions leave them in the store: any, and those of `trivial` in the study `toys`."""
 
-import json
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from headway.events import Row
+from headway.store.atomic_files import write_json, write_text
+from headway.store.parquet_log import RunLog, Table
 from headway.store.run_folder import Process, RunRecord, Status, cell_name, create_run_folder, now
 from headway_launch.experiments.compose import Experiment
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 
 ELSEWHERE = Process("elsewhere", 1, 0.0)
 """A session on another host, which counts as running."""
+
+
+def keep(
+    root: Path,
+    study: str,
+    seed: int,
+    env: str = "bus",
+    algorithm: str = "ippo",
+    cell: str = "cell",
+    summary: Mapping[str, Any] | None = None,
+    config: Mapping[str, Any] | None = None,
+    logs: Mapping[Table, Sequence[Row]] | None = None,
+    **changes: Any,  # noqa: ANN401 - of the record
+) -> Path:
+    """Store a run, finished by default, with its logs, and return its folder."""
+    run_id, folder = create_run_folder(root, study, cell, seed)
+    of_session = {"iterations": 10, "started": now(), "session": Process.current(), "status": "FINISHED"}
+    record = RunRecord(run_id, study, env, algorithm, seed, **{**of_session, **changes})  # type: ignore[arg-type]
+    record.write(folder)
+    if config is not None:
+        write_text(folder / "config.yaml", yaml.safe_dump(config, sort_keys=False))
+    if summary is not None:
+        write_json(folder / "summary.json", summary)
+    log = RunLog(folder)
+    for table, rows in (logs or {}).items():
+        log.append(table, rows)
+        log.commit(max(row["iteration"] for row in rows))  # type: ignore[type-var]  # numbers
+    return folder
 
 
 def keep_run(
@@ -29,12 +59,11 @@ def keep_run(
     per seed number and ten more."""
     parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
     algorithm = experiment.algo_name
-    run_id, directory = create_run_folder(root, "toys", cell_name("trivial", algorithm, parameters), seed)
-    record = RunRecord(run_id, "toys", "trivial", algorithm, seed, 1, now(), session, status)
-    duration = 10.0 * (seed + 1)
-    replace(record, parameters=parameters, durable_iteration=iteration, duration_s=duration).write(directory)
-    (directory / "config.yaml").write_text(yaml.safe_dump(full_mapping(experiment, [seed])))
-    (directory / "plan.json").write_text(json.dumps({"stack": list(stack or (seed,)), "workers": 1}))
-    if summary:
-        (directory / "summary.json").write_text(json.dumps(summary))
-    return run_id
+    directory = keep(
+        root, "toys", seed, "trivial", algorithm, cell_name("trivial", algorithm, parameters),
+        summary or None, full_mapping(experiment, [seed]),
+        iterations=1, session=session, status=status, parameters=parameters, durable_iteration=iteration,
+        duration_s=10.0 * (seed + 1),
+    )  # fmt: skip
+    write_json(directory / "plan.json", {"stack": list(stack or (seed,)), "workers": 1})
+    return directory.name

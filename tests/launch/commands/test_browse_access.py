@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 import pytest
 from browse_server import answer, browse_server, cookie_of
-from command_lines import Refused
+from command_lines import refused
 from mlflow_server import free_port
 
 from headway.store.run_folder import now
@@ -201,7 +201,7 @@ def test_a_store_without_runs_has_a_page(store: Store) -> None:
     assert "no runs yet" in text
 
 
-def test_errors_are_one_line(tmp_path: Path, refused: Refused) -> None:
+def test_errors_are_one_line(tmp_path: Path) -> None:
     assert "there is no store" in refused("browse", "--store", str(tmp_path / "absent"))
     assert "70000 is not a valid port" in refused("browse", "--store", str(tmp_path), "--port", "70000")
     port = free_port()
@@ -215,9 +215,7 @@ def test_errors_are_one_line(tmp_path: Path, refused: Refused) -> None:
     assert not database_path(tmp_path).exists()
 
 
-def test_without_the_whole_of_mlflow_one_line_says_how_to_install_it(
-    refused: Refused, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_whole_of_mlflow_one_line_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     def light(package: str) -> str:
         if package == "mlflow":
             raise PackageNotFoundError(package)

@@ -9,7 +9,7 @@ from pathlib import Path
 from shutil import copytree
 
 import pytest
-from command_lines import Refused, RowsOf, RunOutput
+from command_lines import output, refused, rows_of
 
 from headway.contracts.errors import HeadwayError
 from headway.registry import env_entry
@@ -21,9 +21,7 @@ GAME = ("env=tracking", "env.args.steps=7")
 
 
 @pytest.mark.parametrize("words", [GAME, ("experiment=toy_tracking", "env.args.steps=7")])
-def test_rules_are_compared_on_the_days_of_an_environment(
-    words: tuple[str, ...], tmp_path: Path, output: RunOutput
-) -> None:
+def test_rules_are_compared_on_the_days_of_an_environment(words: tuple[str, ...], tmp_path: Path) -> None:
     asked = ["compare", *words, "--episodes", "4", "--seed", "9", "--metrics", "return,distance"]
     shown = output(*asked, "--format", "csv")
     rows = {(row["metric"], row["controller"]): row for row in csv.DictReader(shown.out.splitlines())}
@@ -42,14 +40,14 @@ def test_rules_are_compared_on_the_days_of_an_environment(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_rules_are_compared_where_the_default_algorithm_cannot_run(rows_of: RowsOf) -> None:
+def test_rules_are_compared_where_the_default_algorithm_cannot_run() -> None:
     """The default preset of `bus` has initial logits of three actions."""
     words = ["env=bus", "env.args.control=holding", "env.args.hold_levels=0", "env.args.end_hour=6"]
     rows = rows_of("compare", *words, "--episodes", "2", "--rules", "always_move,two_way_headway")
     assert {row[1] for row in rows[1:]} == {"rule always_move", "rule two_way_headway"}
 
 
-def test_the_table_has_two_digits_of_the_interval_and_json_all(output: RunOutput) -> None:
+def test_the_table_has_two_digits_of_the_interval_and_json_all() -> None:
     asked = ["compare", *GAME, "--episodes", "4", "--metrics", "return"]
     exact = {row["controller"]: row for row in json.loads(output(*asked, "--format", "json").out)}
     shown = csv.DictReader(output(*asked).out.splitlines(), delimiter="\t")
@@ -65,7 +63,7 @@ def test_the_table_has_two_digits_of_the_interval_and_json_all(output: RunOutput
 
 
 @pytest.mark.parametrize("form", ["markdown", "latex"])
-def test_a_table_for_a_page_has_a_row_per_controller(form: str, output: RunOutput) -> None:
+def test_a_table_for_a_page_has_a_row_per_controller(form: str) -> None:
     asked = ["compare", *GAME, "--episodes", "4", "--metrics", "return,distance"]
     listed = json.loads(output(*asked, "--format", "json").out)
     exact = {(row["metric"], row["controller"]): row for row in listed}
@@ -109,11 +107,11 @@ def test_a_table_for_a_page_has_a_row_per_controller(form: str, output: RunOutpu
         (["other/runs:bus"], "there is no store in 'other/runs'"),
     ],
 )
-def test_what_cannot_be_compared_is_one_line(words: list[str], line: str, refused: Refused) -> None:
+def test_what_cannot_be_compared_is_one_line(words: list[str], line: str) -> None:
     assert line in refused("compare", *words)
 
 
-def test_the_reference_is_played_too_and_no_rule_twice(rows_of: RowsOf) -> None:
+def test_the_reference_is_played_too_and_no_rule_twice() -> None:
     words = ["--episodes", "2", "--rules", "random,random", "--against", "optimal"]
     assert [row[1] for row in rows_of("compare", *GAME, *words)[1:]] == ["rule optimal", "rule random"]
 
@@ -126,13 +124,11 @@ def test_the_reference_is_played_too_and_no_rule_twice(rows_of: RowsOf) -> None:
         (["--episodes", "3", "--rules", "random"], False),
     ],
 )
-def test_few_episodes_are_noted_if_an_interval_is_over_them(
-    words: list[str], told: bool, output: RunOutput
-) -> None:
+def test_few_episodes_are_noted_if_an_interval_is_over_them(words: list[str], told: bool) -> None:
     assert ("play at least 20 before" in output("compare", *GAME, *words).err) == told
 
 
-def test_lookahead_is_played_where_it_is_named_and_is_no_reference(output: RunOutput) -> None:
+def test_lookahead_is_played_where_it_is_named_and_is_no_reference() -> None:
     """A bus that waits earns less than one that moves; looking one step ahead from waiting finds that out."""
     words = ["env=bus_published", "env.args.scenario=line", "env.args.max_steps=6", "--episodes", "2"]
     shown = output("compare", *words, "--rules", "always_wait,lookahead:always_wait:2:1")

@@ -7,16 +7,18 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from command_lines import Refused, RunOutput
+from command_lines import output, refused
+from stored_runs import keep
 
 from headway.store.atomic_files import write_json, write_text
 from headway.store.index import RunIndex
 from headway.store.parquet_log import RunLog
 from headway.store.run_folder import Process, RunRecord, best_file, create_run_folder
+from headway.events import Row
 from headway_launch.commands.main import run
 
 STARTED = "2026-01-02T03:04:05+00:00"
-CURVE = [
+CURVE: list[Row] = [
     {"iteration": 0, "env_steps": 0, "wall_s": 0.5, "evaluation_greedy/return": 1.25},
     {"iteration": 1, "env_steps": 64, "wall_s": 2.0, "training/return": -3.5, "policy/entropy": 0.75},
     {
@@ -24,28 +26,19 @@ CURVE = [
         "evaluation_greedy/return": 2.5,
     },
 ]  # fmt: skip
-EPISODE = {"iteration": 1, "env_steps": 64, "copy": 0, "mean_wait_min": 7.0}
+EPISODE: Row = {"iteration": 1, "env_steps": 64, "copy": 0, "mean_wait_min": 7.0}
 
 
 @pytest.fixture(autouse=True)
 def runs(empty_folder: Path) -> list[str]:
     """Names of two runs of a study, in a store in the working directory."""
-    names = []
-    for seed in range(2):
-        run_id, folder = create_run_folder(Path("runs"), "lines", "cell", seed)
-        record = RunRecord(run_id, "lines", "bus", "ippo", seed, 2, STARTED, Process.current(), "FINISHED")
-        record.write(folder)
-        write_json(folder / "summary.json", {"final_reward": 2.5, "kwh": 0.125})
-        write_text(folder / "config.yaml", "algo: {name: ippo, lr: 0.001}")
-        log = RunLog(folder)
-        log.append("curve", CURVE)
-        log.append("episodes", [EPISODE])
-        log.commit(2)
-        names.append(run_id)
-    return names
+    logs = {"curve": CURVE, "episodes": [EPISODE]}
+    summary, config = {"final_reward": 2.5, "kwh": 0.125}, {"algo": {"name": "ippo", "lr": 0.001}}
+    whole = {"summary": summary, "config": config, "logs": logs, "iterations": 2, "started": STARTED}
+    return [keep(Path("runs"), "lines", seed, **whole).name for seed in range(2)]
 
 
-def test_csv_has_a_file_per_table_with_the_unit_of_each_column(runs: list[str], output: RunOutput) -> None:
+def test_csv_has_a_file_per_table_with_the_unit_of_each_column(runs: list[str]) -> None:
     assert output("convert", "lines", "--to", "csv").out == "csv-lines\n"
     tables = {file.stem: pd.read_csv(file) for file in Path("csv-lines").glob("*.csv")}
     assert set(tables) == {"runs", "curves", "episodes", "columns"}
@@ -104,7 +97,7 @@ def test_wandb_writes_offline_runs(runs: list[str]) -> None:
 
 
 @pytest.mark.parametrize("to", ["tensorboard", "wandb"])
-def test_a_missing_package_is_named(to: str, refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_named(to: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (to, f"{to}.summary.writer.event_file_writer"):
         monkeypatch.setitem(sys.modules, module, None)
     needed = f'the package {to}; install it with pip install "headway[{to}]"\n'
@@ -115,19 +108,17 @@ def test_a_missing_package_is_named(to: str, refused: Refused, monkeypatch: pyte
 def _keep_evaluated(algo: str, seed: int, points: tuple[int, ...] = (0, 64)) -> None:
     """Keep a run with two episodes per evaluation and two more in the last; episode i of a point returns
     its steps + the seed + i / 10."""
-    run_id, folder = create_run_folder(Path("runs"), "marl", algo, seed)
-    RunRecord(run_id, "marl", "Bus", algo, seed, 2, STARTED, Process.current(), "FINISHED").write(folder)
-    write_text(folder / "config.yaml", "evaluation: {episodes: 2, modes: [greedy, sampled]}")
-    log = RunLog(folder)
+    rows: list[Row] = []
     for iteration, steps in enumerate(points):
         final = steps == points[-1]
         label = {"iteration": iteration, "env_steps": steps, "mode": "greedy", "final": int(final)}
-        played = [
+        played: list[Row] = [
             {**label, "episode_seed": episode, "return": steps + seed + episode / 10, "mean_wait_min": 7}
             for episode in range(4 if final else 2)
         ]
-        log.append("evaluation", [*played, {**played[0], "mode": "sampled", "return": -1.0}])
-    log.commit(len(points))
+        rows += [*played, {**played[0], "mode": "sampled", "return": -1.0}]
+    config = {"evaluation": {"episodes": 2, "modes": ["greedy", "sampled"]}}
+    keep(Path("runs"), "marl", seed, "Bus", algo, algo, config=config, logs={"evaluation": rows})
 
 
 def test_marl_eval_has_the_tree_that_the_package_documents() -> None:
@@ -180,16 +171,14 @@ def test_absolute_metrics_are_of_the_best_policies_if_all_runs_have_them() -> No
         ),
     ],
 )
-def test_marl_eval_needs_equal_numbers(
-    others: list[tuple[str, int, tuple[int, ...]]], line: str, refused: Refused
-) -> None:
+def test_marl_eval_needs_equal_numbers(others: list[tuple[str, int, tuple[int, ...]]], line: str) -> None:
     for algo, seed, points in [("ippo", 3, (0, 64)), ("ippo", 4, (0, 64)), *others]:
         _keep_evaluated(algo, seed, points)
     assert line in refused("convert", "marl", "--to", "marl-eval")
     assert not Path("marl-eval-marl").exists()
 
 
-def test_nothing_is_overwritten_and_a_failure_leaves_no_files(refused: Refused) -> None:
+def test_nothing_is_overwritten_and_a_failure_leaves_no_files() -> None:
     Path("csv-lines").mkdir()
     Path("csv-lines", "notes.txt").write_text("mine")
     assert "csv-lines exists; remove it or name a new folder" in refused("convert", "lines", "--to", "csv")

@@ -3,42 +3,34 @@
 from pathlib import Path
 
 import pytest
-from command_lines import Refused
+from command_lines import output, refused, rows_of
 from shuttle import SHUTTLE
-from small_runs import SMALL
+from small_runs import SMALL, stored_rows
 
 from headway.contracts import HeadwayError
-from headway.store.index import RunIndex
 from headway_launch.commands.main import run
 from headway_launch.experiments.env_args import with_env_args
 
 
 @pytest.mark.slow
-def test_a_policy_and_the_rules_play_the_changed_environment(
-    empty_folder: Path, capsys: pytest.CaptureFixture[str], refused: Refused
-) -> None:
+def test_a_policy_and_the_rules_play_the_changed_environment(empty_folder: Path) -> None:
     """Agent i of `SHUTTLE` is paid (i + 1) x fare at each step; the return is the mean over agents."""
     Path("shuttle.py").write_text(SHUTTLE)
     words = ("run", "env=./shuttle.py", "algo=ippo", *SMALL, "env.shared_reward=false")
     assert run([*words, "algo.policies=shared", "algo.agent_id=false"]) == 0
     assert run([*words, "algo.policies=independent"]) == 0
-    shared, independent = (
-        row.run_id for row in sorted(RunIndex(Path("runs")).rows(), key=lambda row: row.started)
-    )
+    shared, independent = (row.run_id for row in stored_rows())
 
     def returns(name: str, *changes: str) -> list[float]:
-        capsys.readouterr()
-        assert run(["evaluate", name, "--episodes=2", *changes]) == 0
-        rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+        rows = rows_of("evaluate", name, "--episodes=2", *changes)
         return [float(cell) for cell in {row[0]: row[1:] for row in rows}["return"]]
 
     assert returns(shared) == [7.5, 7.5]
     assert returns(shared, "env.args.fare=2", "env.args.steps=4") == [12.0, 12.0]
     assert returns(shared, "env.args.cars=3") == [10.0, 10.0]
     assert returns(independent, "env.args.fare=0.5") == [3.75, 3.75]
-    assert run(["evaluate", shared, "--episodes=2", "env.args.fare=2"]) == 0
     line = "headway: evaluated on a changed environment: env.args.fare=2 (trained with 1.0)\n"
-    assert line in capsys.readouterr().err
+    assert line in output("evaluate", shared, "--episodes=2", "env.args.fare=2").err
     assert "with env.args.cars=3 observations, actions or agents have other shapes" in refused(
         "evaluate", independent, "env.args.cars=3"
     )

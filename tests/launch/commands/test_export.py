@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_lines import Refused, RowsOf, RunOutput
+from command_lines import output, refused, rows_of
 from kept_policies import keep_run_on
 
 from headway.api import Policy, child_seeds, load_policy
@@ -57,7 +57,7 @@ def made(origin: Mapping[str, Any]) -> Any:  # noqa: ANN401 - a PettingZoo Paral
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_file_alone_has_the_mean_return_of_evaluate(kind: str, tmp_path: Path, output: RunOutput) -> None:
+def test_a_file_alone_has_the_mean_return_of_evaluate(kind: str, tmp_path: Path) -> None:
     folder = keep_run_on(tmp_path / "runs", KINDS[kind])
     captured = output("export", folder.name, "--output", "policy.npz")
     assert captured.out == "policy.npz\n"
@@ -68,7 +68,7 @@ def test_a_file_alone_has_the_mean_return_of_evaluate(kind: str, tmp_path: Path,
     assert mean_return(policy, made(policy.origin)) == pytest.approx(expected, abs=1e-3, rel=1e-4)
 
 
-def test_the_printed_return_is_that_of_the_file(tmp_path: Path, rows_of: RowsOf) -> None:
+def test_the_printed_return_is_that_of_the_file(tmp_path: Path) -> None:
     folder = keep_run_on(tmp_path / "runs", KINDS["recurrent"])
     assert run(["export", folder.name, "--output", "policy.npz"]) == 0
     rows = rows_of("evaluate", folder.name, "--episodes", str(EPISODES), "--rules", "random")
@@ -105,7 +105,7 @@ def test_other_formats_are_written_and_read(form: str, name: str, tmp_path: Path
 
 
 def test_without_the_environment_random_observations_are_compared(
-    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = keep_run_on(tmp_path / "runs", KINDS["shared with masks"])
 
@@ -117,9 +117,7 @@ def test_without_the_environment_random_observations_are_compared(
     assert load_policy(f"{folder.name}.npz").agents[0] == "visitor_0"
 
 
-def test_a_file_that_acts_otherwise_is_not_written(
-    tmp_path: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_acts_otherwise_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An earlier file of the same name stays."""
     folder = keep_run_on(tmp_path / "runs", KINDS["independent box"])
     Path("policy.npz").write_text("earlier")
@@ -133,9 +131,7 @@ def test_a_file_that_acts_otherwise_is_not_written(
     assert Path("policy.npz").read_text() == "earlier"
 
 
-def test_wrong_arguments_are_one_line(
-    tmp_path: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_wrong_arguments_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = keep_run_on(tmp_path / "runs", KINDS["independent box"])
     export = "export", folder.name
     assert "unknown 'onyx'; did you mean onnx?" in refused(*export, "--format", "onyx")

@@ -4,19 +4,19 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from command_lines import Refused, RowsOf
+from command_lines import refused, rows_of
 
 from headway_launch.experiments.compose import compose
 
 
-def test_index_name_unit_scale_and_meaning_are_listed(rows_of: RowsOf) -> None:
+def test_index_name_unit_scale_and_meaning_are_listed() -> None:
     header, *rows = rows_of("list", "observations", "merge_two_lane")
     assert header == ["index", "name", "unit", "scale", "meaning"]
     assert [row[0] for row in rows] == [str(index) for index in range(25)]
     assert rows[1] == ["1", "x", "m", "150", "position along the highway"]
 
 
-def test_arguments_and_wrappers_count(rows_of: RowsOf) -> None:
+def test_arguments_and_wrappers_count() -> None:
     rows = rows_of("list", "observations", "bus", "env.args.observation=paper", "env.args.capacity=60")[1:]
     assert [row[:4] for row in rows] == [
         ["0", "running_time", "s", "300"],
@@ -56,11 +56,11 @@ def test_an_agent_s_indicator_times_its_scale_is_one() -> None:
         (("trivial", "env.wrappers=[normalize_obs_v0]"), "does not describe the 4 numbers"),
     ],
 )
-def test_what_cannot_be_listed_is_one_line(words: tuple[str, ...], says: str, refused: Refused) -> None:
+def test_what_cannot_be_listed_is_one_line(words: tuple[str, ...], says: str) -> None:
     assert says in refused("list", "observations", *words)
 
 
-def test_other_lists_take_no_keys(refused: Refused) -> None:
+def test_other_lists_take_no_keys() -> None:
     assert "headway list envs takes one name: leave out env.args.capacity=60" in refused(
         "list", "envs", "bus", "env.args.capacity=60"
     )

@@ -1,21 +1,21 @@
 """`headway list keys`: every key of an experiment with its default and meaning."""
 
 import pytest
-from command_lines import Refused, RowsOf
+from command_lines import refused, rows_of
 
 from headway.registry import algo_entries, env_entries
 from headway_launch.commands.listing import KINDS
 from headway_launch.experiments.compose import compose
 
 
-def test_without_a_kind_the_kinds_are_listed(rows_of: RowsOf) -> None:
+def test_without_a_kind_the_kinds_are_listed() -> None:
     header, *rows = rows_of("list")
     assert header == ["kind", "what is listed"]
     assert [kind for kind, _ in rows] == list(KINDS)
     assert all(text for _, text in rows)
 
 
-def test_a_word_finds_keys_of_all_kinds(rows_of: RowsOf) -> None:
+def test_a_word_finds_keys_of_all_kinds() -> None:
     header, *rows = rows_of("list", "keys", "lr")
     assert header == ["key", "type", "default", "of", "description"]
     shown = {
@@ -34,14 +34,14 @@ def test_a_word_finds_keys_of_all_kinds(rows_of: RowsOf) -> None:
 
 
 @pytest.mark.parametrize("group", ["algo", "env", "rollout", "backend", "store", "evaluation", "energy"])
-def test_every_group_is_listed(group: str, rows_of: RowsOf) -> None:
+def test_every_group_is_listed(group: str) -> None:
     keys = [row[0] for row in rows_of("list", "keys")[1:]]
     assert sum(key.startswith(f"{group}.") for key in keys) > 2
     rows = rows_of("list", "keys", "env.args.")[1:]
     assert set(env_entries()) <= {name for row in rows for name in row[3].split(", ")}
 
 
-def test_a_word_of_no_name_is_looked_for_in_descriptions(rows_of: RowsOf, refused: Refused) -> None:
+def test_a_word_of_no_name_is_looked_for_in_descriptions() -> None:
     rows = rows_of("list", "keys", "MLflow")[1:]
     assert rows
     assert all("mlflow" in row[4].lower() for row in rows)

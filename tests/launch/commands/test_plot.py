@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_lines import Refused
+from command_lines import refused
 from matplotlib.figure import Figure
+from stored_runs import keep
 
 from headway.contracts.errors import HeadwayError
 from headway.stats import plots
 from headway.stats.plots import colours, intervals, learning_curves, near_rules, outliers, plot_rules
 from headway.store.atomic_files import write_text
-from headway.store.parquet_log import RunLog
 from headway.store.query import RunSelection, select
-from headway.store.run_folder import Process, RunRecord, create_run_folder, now, rules_file
+from headway.store.run_folder import rules_file
 from headway_launch.commands.main import run
 from headway_launch.studies.runs import curves_of, rules_beside
 
@@ -24,11 +24,8 @@ from headway_launch.studies.runs import curves_of, rules_beside
 def _keep_seed(
     root: Path, seed: int, metric: str, points: Mapping[int, float], study: str = "apart", algo: str = "a3c"
 ) -> None:
-    run_id, directory = create_run_folder(root, study, "cell", seed)
-    RunRecord(run_id, study, "bus", algo, seed, 1, now(), Process.current(), "FINISHED").write(directory)
-    log = RunLog(directory)
-    log.append("curve", [{"iteration": step, "env_steps": step, metric: points[step]} for step in points])
-    log.commit(max(points))
+    curve = [{"iteration": step, "env_steps": step, metric: points[step]} for step in points]
+    keep(root, study, seed, algorithm=algo, logs={"curve": curve}, iterations=1)
 
 
 @pytest.fixture
@@ -42,9 +39,7 @@ def runs(tmp_path: Path) -> RunSelection:
 
 
 @pytest.mark.parametrize("metric", ["evaluation_greedy/return", "evaluation_sampled/return"])
-def test_rules_stand_beside_curves_of_evaluation_on_the_days_of_their_points(
-    metric: str, runs: RunSelection
-) -> None:
+def test_rules_stand_beside_evaluation_on_the_days_of_their_points(metric: str, runs: RunSelection) -> None:
     assert rules_beside(runs, metric) == {"bus": {"optimal": 3.5}}
 
 
@@ -60,9 +55,7 @@ def test_a_metric_that_a_run_has_not_is_one_line_with_the_nearest(runs: RunSelec
         curves_of(runs, "training/retrun")
 
 
-def test_training_curves_whose_points_lie_at_different_steps_are_drawn(
-    tmp_path: Path, refused: Refused
-) -> None:
+def test_training_curves_whose_points_lie_at_different_steps_are_drawn(tmp_path: Path) -> None:
     """Asynchronous algorithms have such curves; points of evaluation are at the same steps in all runs."""
     apart: list[dict[int, float]] = [{0: 0.0, 2: 2.0, 4: 8.0}, {1: 3.0, 3: 5.0}]
     for seed, points in enumerate(apart):
@@ -80,7 +73,7 @@ def test_training_curves_whose_points_lie_at_different_steps_are_drawn(
     assert "share no step with a value of 'training/return'\n" in line
 
 
-def test_a_bare_name_is_a_metric_of_the_greedy_evaluation(tmp_path: Path, refused: Refused) -> None:
+def test_a_bare_name_is_a_metric_of_the_greedy_evaluation(tmp_path: Path) -> None:
     _keep_seed(tmp_path, 0, "evaluation_greedy/wait", {0: 2.0, 4: 1.0})
     words = ["plot", "apart", "--store", str(tmp_path), "--output", str(tmp_path / "drawn.svg")]
     assert run([*words, "--metric", "wait"]) == 0
@@ -129,7 +122,7 @@ def test_a_rule_far_away_does_not_flatten_the_picture() -> None:
 
 
 def test_of_a_study_the_cells_that_are_wanted_are_drawn_and_rules_can_be_left_out(
-    runs: RunSelection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
+    runs: RunSelection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _keep_seed(tmp_path, 0, "evaluation_greedy/return", {0: 2.0}, "study", "mappo")
     drawn: list[tuple[list[str], object, str, int, object]] = []

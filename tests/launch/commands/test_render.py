@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_lines import Refused, RunOutput
+from command_lines import output, refused
 from PIL import Image
 from small_runs import SMALL
 
@@ -70,7 +70,7 @@ def test_an_mp4_has_the_frames_and_the_rate_of_the_episode(tmp_path: Path) -> No
 
 
 def test_an_mp4_without_its_extra_is_refused_before_anything_is_played(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     monkeypatch.setattr(MergeRenderer, "render", None)
@@ -125,9 +125,7 @@ def test_the_frames_of_an_episode_are_not_all_held_at_once(
     assert most <= 3
 
 
-def test_a_picture_of_a_moment_needs_no_more_than_the_steps_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_moments_picture_needs_only_earlier_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rendered, render = [], MergeRenderer.render
     monkeypatch.setattr(
         MergeRenderer, "render", lambda *words, **named: rendered.append(1) or render(*words, **named)
@@ -138,7 +136,7 @@ def test_a_picture_of_a_moment_needs_no_more_than_the_steps_before(
 
 
 @pytest.mark.slow
-def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path, refused: Refused) -> None:
+def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path) -> None:
     store = tmp_path / "runs"
     words = [
         "env.args.steps=5", "env.wrappers=[{name: frame_stack_v1, stack_size: 2}]", "algo.model.hidden=[8]",
@@ -188,23 +186,19 @@ def test_a_trained_policy_is_drawn_behind_its_wrappers(tmp_path: Path, refused: 
         ([*IDLE, "--output", "a.png", "--step", "9"], "--step: the episode ends after 4 steps, before 9"),
     ],
 )
-def test_what_cannot_be_drawn_is_one_line(
-    words: list[str], line: str, empty_folder: Path, refused: Refused
-) -> None:
+def test_what_cannot_be_drawn_is_one_line(words: list[str], line: str, empty_folder: Path) -> None:
     assert line in refused("render", *words)
     assert list(empty_folder.iterdir()) == []
 
 
-def test_a_study_named_almost_like_an_environment_is_a_study(empty_folder: Path, refused: Refused) -> None:
+def test_a_study_named_almost_like_an_environment_is_a_study(empty_folder: Path) -> None:
     run = empty_folder / "runs" / "buss" / "one-s0"
     run.mkdir(parents=True)
     (run / "run.json").write_text("{}")
     assert "'buss' is a study in runs: name one of its runs, one-s0" in refused("render", "buss")
 
 
-def test_an_environment_whose_name_runs_have_is_told_with_those_runs(
-    empty_folder: Path, refused: Refused
-) -> None:
+def test_an_environment_whose_name_runs_have_is_told_with_those_runs(empty_folder: Path) -> None:
     for seed in range(7):
         run = empty_folder / "runs" / "bus" / f"bus-ippo-s{9 - seed}-2026010{seed}-120000-ab"
         run.mkdir(parents=True)
@@ -219,9 +213,7 @@ def test_an_environment_whose_name_runs_have_is_told_with_those_runs(
 
 @pytest.mark.usefixtures("empty_folder")
 @pytest.mark.parametrize("output", ["no/where.gif", "taken.gif", "file/inside.png"])
-def test_where_nothing_can_be_written_nothing_is_played(
-    output: str, monkeypatch: pytest.MonkeyPatch, refused: Refused
-) -> None:
+def test_where_nothing_can_be_written_nothing_is_played(output: str, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("taken.gif").mkdir()
     Path("file").write_text("")
     rendered: list[int] = []
@@ -233,9 +225,7 @@ def test_where_nothing_can_be_written_nothing_is_played(
     assert rendered == []
 
 
-def test_a_terminal_is_told_how_far_an_episode_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, output: RunOutput
-) -> None:
+def test_a_terminal_is_told_how_far_an_episode_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     told = output("render", *IDLE, "--output", str(tmp_path / "a.gif")).err
     assert "steps played: " in told
@@ -263,7 +253,7 @@ class parallel_env(Scripted):
 """
 
 
-def test_a_module_environment_is_rendered_by_its_own_pictures(empty_folder: Path, refused: Refused) -> None:
+def test_a_module_environment_is_rendered_by_its_own_pictures(empty_folder: Path) -> None:
     """The last frame repeats the one before, since the environment has begun the next episode."""
     Path("painted.py").write_text(_PAINTED)
     words = ["render", "./painted.py", "--rule", "random", "env.shared_reward=false"]

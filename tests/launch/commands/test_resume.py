@@ -6,13 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_lines import Refused, RunOutput
-from small_runs import SMALL, end_as
+from command_lines import output, refused
+from small_runs import SMALL, end_as, stored_rows
 
-from headway.config.experiment import StoreConfig
 from headway.contracts.errors import HeadwayError
 from headway.store.energy_log import EnergyLog
-from headway.store.index import RunIndex, RunRow
 from headway.store.run_folder import RunRecord
 from headway_launch.commands.main import run
 from headway_launch.console.progress_display import Progress
@@ -27,24 +25,18 @@ def _two_cores(empty_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("headway_launch.runner.runner.usable_cores", lambda: 2)
 
 
-def _runs() -> list[RunRow]:
-    return RunIndex(Path(StoreConfig().root)).rows()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", ["serial", "process"])
-def test_one_of_several_seeds_goes_on_alone(
-    backend: str, output: RunOutput, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_of_several_seeds_goes_on_alone(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Side by side each seed had one core, and alone it would have both."""
     assert run(["run", *TINY, f"backend={backend}", "seed=0,1"]) == 0
-    first = _runs()[0]
+    first = stored_rows()[0]
     end_as(first.directory)
     shown: list[tuple[str, ...]] = []
     monkeypatch.setattr(Progress, "show", lambda progress: shown.append(progress._jobs[0].cells()))
     summary = json.loads(Path(first.directory, "summary.json").read_text())
     output("resume", first.run_id)
-    assert [row.status for row in _runs()] == ["FINISHED", "FINISHED"]
+    assert [row.status for row in stored_rows()] == ["FINISHED", "FINISHED"]
     again = json.loads(Path(first.directory, "summary.json").read_text())
     assert again["final_reward"] == summary["final_reward"]
     assert {cells[2] for cells in shown} == {"64 steps"}
@@ -54,7 +46,7 @@ def test_one_of_several_seeds_goes_on_alone(
 @pytest.mark.slow
 def test_what_a_killed_session_used_is_still_counted() -> None:
     assert run(["run", *TINY, "backend=serial"]) == 0
-    directory = Path(_runs()[0].directory)
+    directory = Path(stored_rows()[0].directory)
     log = EnergyLog(directory)
     used = log.last()
     # Another session measured and died before it could write a summary.
@@ -108,7 +100,7 @@ def test_runs_of_one_cell_keep_the_configuration_of_each(tmp_path: Path) -> None
     assert [jobs[0].experiment.config.evaluation.episodes for jobs in batches] == [1, 7]
 
 
-def test_a_finished_run_is_refused_before_anything_starts(tmp_path: Path, refused: Refused) -> None:
+def test_a_finished_run_is_refused_before_anything_starts(tmp_path: Path) -> None:
     end_as(_stored(tmp_path / "runs", 0, 0).directory, "FINISHED")
     line = refused("resume", "run-0-s0")
     assert line == "headway: run run-0-s0 has finished: there is nothing to resume\n"

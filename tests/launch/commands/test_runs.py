@@ -7,12 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import yaml
-from command_lines import Refused, RowsOf, RunOutput
+from command_lines import output, refused, rows_of
+from stored_runs import keep
 
-from headway.store.parquet_log import RunLog
-from headway.store.run_folder import Process, RunRecord, create_run_folder, now
-from headway_launch.commands.main import run
+from headway.events import Row
+from headway.store.atomic_files import write_json
+from headway.store.run_folder import RunRecord
 
 REWARDS = {0: 310.0, 1: 355.5, 2: None, 3: 290.0}
 
@@ -21,33 +21,21 @@ REWARDS = {0: 310.0, 1: 355.5, 2: None, 3: 290.0}
 def store(tmp_path: Path) -> Path:
     for seed, reward in REWARDS.items():
         algorithm = "ippo" if seed < 2 else "mappo"
-        run_id, directory = create_run_folder(tmp_path, "bus", f"bus-{algorithm}-1f2e3d", seed)
-        record = RunRecord(
-            run_id, "bus", "bus", algorithm, seed, 10, now(), Process.current(), "FINISHED",
-            parameters={"algo.lr": "0.001" if seed else "3e-05", "algo.core": "gru"},
-            tags={"git.revision": "abc"},
-        )  # fmt: skip
-        record = record if reward else replace(record, status="KILLED")
-        record.write(directory)
-        mapping = {"seed": [seed], "env": {"id": "bus"}, "algo": {"name": algorithm, "lr": 0.001}}
-        (directory / "config.yaml").write_text(yaml.safe_dump(mapping))
-        (directory / "plan.json").write_text(json.dumps({"stack": [seed]}))
         summary = {"final_reward": reward, "auc": 0.5, "cpu_seconds": 100.0 + seed, "kwh": 0.25}
-        (directory / "summary.json").write_text(json.dumps(summary))
-        log = RunLog(directory)
-        for iteration in (0, 10):
-            for day in range(2):
-                row = {"iteration": iteration, "mode": "greedy", "final": 1, "episode_seed": day}
-                log.append(
-                    "evaluation",
-                    [{**row, "env_steps": 100 * iteration, "return": 100.0 * seed + day + iteration}],
-                )
-        log.commit(10)
+        config = {"algo": {"name": algorithm, "lr": 0.001}, "env": {"id": "bus"}, "seed": [seed]}
+        rows: list[Row] = [
+            {
+                "iteration": iteration, "mode": "greedy", "final": 1, "episode_seed": day,
+                "env_steps": 100 * iteration, "return": 100.0 * seed + day + iteration,
+            } for iteration in (0, 10) for day in range(2)
+        ]  # fmt: skip
+        directory = keep(
+            tmp_path, "bus", seed, "bus", algorithm, f"bus-{algorithm}-1f2e3d", summary, config,
+            {"evaluation": rows}, status="FINISHED" if reward else "KILLED", tags={"git.revision": "abc"},
+            parameters={"algo.lr": "0.001" if seed else "3e-05", "algo.core": "gru"},
+        )  # fmt: skip
+        write_json(directory / "plan.json", {"stack": [seed]})
     return tmp_path
-
-
-def seeds(capsys: pytest.CaptureFixture[str]) -> list[int]:
-    return [int(row["seed"]) for row in csv.DictReader(io.StringIO(capsys.readouterr().out))]
 
 
 @pytest.mark.parametrize(
@@ -68,14 +56,12 @@ def seeds(capsys: pytest.CaptureFixture[str]) -> list[int]:
         (["--sort", "algo.lr, seed desc"], [0, 3, 2, 1]),
     ],
 )
-def test_conditions_and_order(
-    store: Path, arguments: list[str], expected: list[int], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["runs", "--store", str(store), "--format", "csv", *arguments]) == 0
-    assert seeds(capsys) == expected
+def test_conditions_and_order(store: Path, arguments: list[str], expected: list[int]) -> None:
+    told = output("runs", "--store", str(store), "--format", "csv", *arguments).out
+    assert [int(row["seed"]) for row in csv.DictReader(io.StringIO(told))] == expected
 
 
-def test_lines_of_csv_end_as_those_of_other_commands_do(store: Path, output: RunOutput) -> None:
+def test_lines_of_csv_end_as_those_of_other_commands_do(store: Path) -> None:
     """`cut`, `sort` and `while read` take a carriage return for a part of the last column."""
     told = output("runs", "--store", str(store), "--format", "csv").out
     assert told.count("\n") == 5
@@ -91,7 +77,7 @@ def _learning_rates_differ(store: Path) -> None:
         replace(record, parameters={**record.parameters, "algo.lr": text}).write(new)
 
 
-def test_what_a_sweep_varied_has_a_column(store: Path, output: RunOutput) -> None:
+def test_what_a_sweep_varied_has_a_column(store: Path) -> None:
     """The two ippo cells differ in algo.lr; mappo, which has one cell, shows its own value there."""
     _learning_rates_differ(store)
     rows = list(csv.DictReader(io.StringIO(output("runs", "--store", str(store), "--format", "csv").out)))
@@ -102,9 +88,7 @@ def test_what_a_sweep_varied_has_a_column(store: Path, output: RunOutput) -> Non
     assert "algo.lr" not in output("runs", "--store", str(store), "--algo", "mappo").out
 
 
-def test_a_run_whose_record_broke_is_listed_without_its_parameters(
-    store: Path, rows_of: RowsOf, output: RunOutput
-) -> None:
+def test_a_run_whose_record_broke_is_listed_without_its_parameters(store: Path) -> None:
     """The index keeps what it read before; the other ippo run has then no cell to differ from."""
     _learning_rates_differ(store)
     words = ["runs", "--store", str(store)]
@@ -121,15 +105,15 @@ def test_a_run_whose_record_broke_is_listed_without_its_parameters(
     assert [own.get("algo.lr") for own in parameters] == [3e-05, None, 0.001, 0.001]
 
 
-def test_chosen_columns(store: Path, rows_of: RowsOf, capsys: pytest.CaptureFixture[str]) -> None:
+def test_chosen_columns(store: Path) -> None:
     chosen = ["--columns", "seed, algo.core,final_reward"]
     lines = rows_of("runs", "--store", str(store), *chosen)
     assert lines[:2] == [["seed", "algo.core", "final reward"], ["0", "gru", "310"]]
-    assert run(["runs", "--store", str(store), "--format", "json", *chosen]) == 0
-    assert json.loads(capsys.readouterr().out)[1] == {"seed": 1, "algo.core": "gru", "final_reward": 355.5}
+    told = output("runs", "--store", str(store), "--format", "json", *chosen).out
+    assert json.loads(told)[1] == {"seed": 1, "algo.core": "gru", "final_reward": 355.5}
 
 
-def test_json_has_the_parameters(store: Path, output: RunOutput) -> None:
+def test_json_has_the_parameters(store: Path) -> None:
     first = json.loads(output("runs", "--store", str(store), "--format", "json").out)[0]
     assert first["parameters"] == {"algo.lr": 3e-05, "algo.core": "gru"}
 
@@ -153,11 +137,11 @@ def test_json_has_the_parameters(store: Path, output: RunOutput) -> None:
         (["--sort", "seed downwards"], "write FIELD, FIELD asc or FIELD desc"),
     ],
 )
-def test_bad_conditions_are_one_line(store: Path, arguments: list[str], part: str, refused: Refused) -> None:
+def test_bad_conditions_are_one_line(store: Path, arguments: list[str], part: str) -> None:
     assert part in refused("runs", "--store", str(store), *arguments)
 
 
-def test_two_runs_beside_each_other(store: Path, rows_of: RowsOf) -> None:
+def test_two_runs_beside_each_other(store: Path) -> None:
     lines = rows_of("diff", "ippo-1f2e3d-s0", "mappo-1f2e3d-s3", "--store", str(store))
     assert lines[:3] == [["setting", "A", "B"], ["algo.name", "ippo", "mappo"], ["seed", "[0]", "[3]"]]
     figures = {line[0]: line[1:] for line in lines[5:]}
@@ -167,5 +151,5 @@ def test_two_runs_beside_each_other(store: Path, rows_of: RowsOf) -> None:
     assert figures["last evaluation, greedy: return"] == ["10.5", "310.5", "300"]
 
 
-def test_a_run_beside_one_that_is_not_there(store: Path, refused: Refused) -> None:
+def test_a_run_beside_one_that_is_not_there(store: Path) -> None:
     assert "no run 'nothing'" in refused("diff", "ippo-1f2e3d-s0", "nothing", "--store", str(store))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from command_lines import Refused, RowsOf, RunOutput
+from command_lines import failed, output, refused, rows_of
 
 from headway.stats.best_of import expected_best
 from headway.store.index import RunIndex
@@ -80,14 +80,14 @@ def test_its_preset_trains_as_the_best_candidate(searched: Searched) -> None:
 
 
 @pytest.mark.slow
-def test_a_search_given_again_or_shown_trains_nothing(searched: Searched, output: RunOutput) -> None:
+def test_a_search_given_again_or_shown_trains_nothing(searched: Searched) -> None:
     for option in ((), ("--show",)):
         assert output("search", *SMALL, f"store.root={searched.root}", *option).out == searched.out
     assert len(RunIndex(searched.root).rows("search_toy_tracking")) == 8
 
 
 @pytest.mark.slow
-def test_the_rest_of_a_search_is_no_study_to_resume(searched: Searched, refused: Refused) -> None:
+def test_the_rest_of_a_search_is_no_study_to_resume(searched: Searched) -> None:
     line = refused("resume", "--study", "search_toy_tracking", "--store", str(searched.root))
     assert "study search_toy_tracking is a search" in line
 
@@ -101,7 +101,7 @@ def test_a_study_is_drawn(searched: Searched, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched, output: RunOutput) -> None:
+def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched) -> None:
     shown = output("compare", "search_toy_tracking", "--store", str(searched.root), "--episodes", "4")
     header, *lines = [line.split("\t") for line in shown.out.splitlines() if "\t" in line]
     rows = [line for line in lines if len(line) == len(header)]
@@ -124,7 +124,7 @@ def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched, outpu
 
 
 @pytest.mark.slow
-def test_rules_to_compare_with_are_chosen(searched: Searched, rows_of: RowsOf) -> None:
+def test_rules_to_compare_with_are_chosen(searched: Searched) -> None:
     words = ("--store", str(searched.root), "--episodes", "2", "--rules", "random")
     header, *rows = rows_of("compare", "search_toy_tracking", *words)
     rows = [row for row in rows if len(row) == len(header)]
@@ -141,16 +141,14 @@ def test_the_installed_program_tells_a_wrong_search_in_one_line() -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_a_search_that_has_not_begun_is_not_shown(tmp_path: Path, refused: Refused) -> None:
+def test_a_search_that_has_not_begun_is_not_shown(tmp_path: Path) -> None:
     line = refused("search", "toy_tracking", f"store.root={tmp_path / 'runs'}", "--show")
     assert "search toy_tracking has not begun" in line
     assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.slow
-def test_wrong_words_for_a_plot_are_one_line(
-    searched: Searched, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_words_for_a_plot_are_one_line(searched: Searched, tmp_path: Path) -> None:
     """After a line on the runs that have not finished."""
     absent = str(tmp_path / "absent" / "x.png")
     for words, line in (
@@ -158,9 +156,7 @@ def test_wrong_words_for_a_plot_are_one_line(
         (("search_toy_tracking", "--metric", "evaluation_greedy/retrun"), "evaluation_greedy/return"),
         (("search_toy_tracking", "--output", absent), "cannot be written"),
     ):
-        capsys.readouterr()
-        assert run(["plot", *words, "--store", str(searched.root)]) == 2
-        assert line in capsys.readouterr().err.splitlines()[-1]
+        assert line in failed("plot", *words, "--store", str(searched.root)).splitlines()[-1]
 
 
 def test_the_order_of_algorithms_is_told_per_number_of_candidates() -> None:

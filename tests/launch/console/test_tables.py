@@ -2,17 +2,15 @@
 
 import csv
 import io
-import json
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_lines import RowsOf, RunOutput
+from command_lines import output, rows_of
+from stored_runs import keep
 
-from headway.store.run_folder import Process, RunRecord, create_run_folder, now
 from headway_launch.commands.main import run as run_command
 from headway_launch.console.tables import print_table
 
@@ -81,11 +79,9 @@ def test_a_pipe_gets_every_column_and_six_digits(capsys: pytest.CaptureFixture[s
 
 @pytest.fixture
 def store(tmp_path: Path) -> Path:
-    run_id, directory = create_run_folder(tmp_path, "bus", "bus-mappo-1f2e3d", 0)
-    record = RunRecord(run_id, "bus", "bus", "mappo", 0, 147, now(), Process.current(), "FINISHED", "shared")
-    replace(record, durable_iteration=147, durable_env_steps=602112).write(directory)
     summary = {"final_reward": 2 / 3, "auc": 1 / 3, "kwh": 1.2345678e-5, "kg_co2": 2.3456789e-6}
-    (directory / "summary.json").write_text(json.dumps(summary))
+    progress = {"iterations": 147, "durable_iteration": 147, "durable_env_steps": 602112}
+    keep(tmp_path, "bus", 0, "bus", "mappo", "bus-mappo-1f2e3d", summary, policies="shared", **progress)
     return tmp_path
 
 
@@ -102,7 +98,7 @@ def test_runs_keep_identity_status_and_result_whole(width: int, store: Path, lin
         assert re.search(r"│ mappo +│", row)
 
 
-def test_runs_name_the_columns_left_out(store: Path, output: RunOutput) -> None:
+def test_runs_name_the_columns_left_out(store: Path) -> None:
     """The names are those that --columns takes; a column in which no run has a value is not missed."""
     shown, note = output("runs", "--store", str(store))
     assert shown.splitlines()[0].split("\t") == [
@@ -120,9 +116,7 @@ def test_runs_name_the_columns_left_out(store: Path, output: RunOutput) -> None:
     assert note == ""
 
 
-def test_runs_call_the_auc_what_it_is_and_csv_has_fields_and_all_digits(
-    store: Path, rows_of: RowsOf, output: RunOutput
-) -> None:
+def test_runs_call_the_auc_what_it_is_and_csv_has_fields_and_all_digits(store: Path) -> None:
     header, row = rows_of("runs", "--store", str(store))
     assert row[header.index("AUC (own range)")] == "0.333333"
     [fields] = csv.DictReader(io.StringIO(output("runs", "--store", str(store), "--format", "csv").out))

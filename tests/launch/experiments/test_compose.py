@@ -228,9 +228,7 @@ def test_rules_of_another_environment_say_how_to_leave_them() -> None:
         ("env.training_args.agents=3", r"env\.training_args may change rewards and dynamics, not obs"),
     ],
 )
-def test_what_only_the_environment_can_tell_is_refused_before_anything_starts(
-    override: str, line: str
-) -> None:
+def test_what_only_the_environment_can_tell_is_refused_before_the_start(override: str, line: str) -> None:
     experiment = compose(["env=trivial", override])
     with pytest.raises(HeadwayError, match=line):
         experiment.prepare()

@@ -3,12 +3,11 @@
 from pathlib import Path
 
 import pytest
-from command_lines import Refused, RowsOf, RunOutput
+from command_lines import failed, output, refused, rows_of
 from shuttle import SHUTTLE
-from small_runs import SMALL, end_as
+from small_runs import SMALL, end_as, stored_rows
 
 from headway.adapters.env_file import EnvFile
-from headway.store.index import RunIndex, RunRow
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.sweep import compose_sweep
@@ -23,21 +22,15 @@ def _file(empty_folder: Path) -> None:
     FILE.write_text(SHUTTLE)
 
 
-def _runs() -> list[RunRow]:
-    return sorted(RunIndex(Path("runs")).rows(), key=lambda row: row.started)
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("_file")
-def test_a_run_finds_its_file_again(
-    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch, refused: Refused
-) -> None:
+def test_a_run_finds_its_file_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The file is found from another folder. An edited file is another cell; if the file was removed, only
     commands that play it are refused."""
     shown = output(*SWEEP)
     assert "imported" in shown.err
     assert "imported" not in shown.out
-    [first] = _runs()
+    [first] = stored_rows()
     file = (tmp_path / FILE).resolve()
     assert first.environment == str(file)
     assert first.run_id.startswith("shuttle-ippo-")
@@ -65,7 +58,7 @@ def test_a_run_finds_its_file_again(
     end_as(first.directory, "FINISHED")
     monkeypatch.chdir(tmp_path)
     assert "has changed" not in output(*SWEEP).err
-    one, other = _runs()
+    one, other = stored_rows()
     assert one.cell != other.cell
 
     file.unlink()
@@ -80,26 +73,23 @@ def test_a_run_finds_its_file_again(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("_file")
-def test_an_error_of_the_file_is_named_with_its_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_of_the_file_is_named_with_its_line() -> None:
     """Training fails after a second attempt, evaluation at once; export compares random observations."""
     assert run(SWEEP) == 0
-    [trained] = _runs()
+    [trained] = stored_rows()
     lines = SHUTTLE.splitlines()
     [place] = [number for number, line in enumerate(lines) if line.strip().startswith("def step(")]
     lines.insert(place + 1, "        raise KeyError('the bridge is out')")
     FILE.write_text("\n".join(lines))
     told = f"raised KeyError: 'the bridge is out' in step (shuttle.py, line {place + 2})"
-    capsys.readouterr()
-    assert run(["run", *SWEEP[1:], "seed=0"]) == 2
-    assert f"failed twice: environment '{FILE.resolve()}' {told}" in capsys.readouterr().err
-    assert run(["evaluate", trained.run_id, "--episodes=1"]) == 2
-    assert capsys.readouterr().err.endswith(f"headway: environment '{FILE.resolve()}' {told}\n")
-    assert run(["export", trained.run_id]) == 0
-    assert f"observations drawn at random (environment '{FILE.resolve()}' {told})" in capsys.readouterr().err
+    cause = f"environment '{FILE.resolve()}' {told}"
+    assert f"failed twice: {cause}" in failed("run", *SWEEP[1:], "seed=0")
+    assert failed("evaluate", trained.run_id, "--episodes=1").endswith(f"headway: {cause}\n")
+    assert f"observations drawn at random ({cause})" in output("export", trained.run_id).err
 
 
 @pytest.mark.usefixtures("_file")
-def test_files_in_several_forms_of_overrides(rows_of: RowsOf, refused: Refused) -> None:
+def test_files_in_several_forms_of_overrides() -> None:
     file = str(FILE.resolve())
     for word in (f"env={FILE}", f"env={file}", f"env='{FILE}'", f"env.id='{FILE}'"):
         assert compose([word, "algo=ippo", "env.args.fare=2"]).config.env.id == file
@@ -112,7 +102,7 @@ def test_files_in_several_forms_of_overrides(rows_of: RowsOf, refused: Refused) 
     assert refused("run", "env=my lab/shuttel.py").startswith(f"headway: env.id={Path('my lab').resolve()}")
 
 
-def test_names_of_files_without_their_path_are_recognised(empty_folder: Path, refused: Refused) -> None:
+def test_names_of_files_without_their_path_are_recognised(empty_folder: Path) -> None:
     Path("lab").mkdir()
     for name in ("shuttle.py", "lab/shuttle.py"):
         Path(name).write_text(SHUTTLE)

@@ -5,13 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from command_lines import Refused, RowsOf, RunOutput
-from small_runs import SMALL, end_as
+from command_lines import failed, output, refused, rows_of
+from small_runs import SMALL, end_as, stored_rows
 
-from headway.config.experiment import StoreConfig
 from headway.contracts import HeadwayError
 from headway.store.checkpoint import load_latest, save_checkpoint
-from headway.store.index import RunIndex, RunRow
 from headway.store.parquet_log import read_curve
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.commands.main import run
@@ -28,10 +26,6 @@ TINY = (
 @pytest.fixture(autouse=True)
 def _two_cores(empty_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("headway_launch.runner.runner.usable_cores", lambda: 2)
-
-
-def _runs() -> list[RunRow]:
-    return RunIndex(Path(StoreConfig().root)).rows()
 
 
 def _size(experiment: Experiment) -> int:
@@ -85,7 +79,7 @@ def test_what_an_environment_prints_is_not_among_the_results(
     monkeypatch.syspath_prepend(tmp_path)
     words = ("env=loud.street", "seed=0", *TINY, "backend=process", "rollout.block=2")
     assert run(["run", *words]) == 0
-    [row] = _runs()
+    [row] = stored_rows()
     assert run(["evaluate", row.run_id]) == 0
     shown = capfd.readouterr()
     assert "beep" not in shown.out
@@ -213,9 +207,7 @@ def test_training_arguments_reach_the_training_environment_only(monkeypatch: pyt
     ],
     ids=["twins", "padded", "Box"],
 )
-def test_a_pettingzoo_environment_trains_with_a_random_rule(
-    overrides: tuple[str, ...], output: RunOutput
-) -> None:
+def test_a_pettingzoo_environment_trains_with_a_random_rule(overrides: tuple[str, ...]) -> None:
     shown = output("run", *overrides, *TINY, "evaluation.rules=[random]").out
     assert "FINISHED" in shown
     assert "rule random" in shown
@@ -228,16 +220,14 @@ def test_workers_make_a_wrapped_pettingzoo_environment() -> None:
     wrappers = "[{name: sticky_actions_v0, repeat_action_probability: 0.1}, pad_observations_v0]"
     words = ("backend=process", "backend.workers=2", "evaluation.rules=[random]", f"env.wrappers={wrappers}")
     assert run(["run", *SPREAD, *tiny, *words]) == 0
-    assert [row.status for row in _runs()] == ["FINISHED"]
+    assert [row.status for row in stored_rows()] == ["FINISHED"]
 
 
 @pytest.mark.slow
-def test_the_cost_of_a_wrapper_without_a_batched_form_is_printed_once(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_cost_of_a_wrapper_without_a_batched_form_is_printed_once() -> None:
     wrappers = "env.wrappers=[{name: delay_observations_v0, delay: 1}]"
-    assert run(["run", "env=matrix", wrappers, *TINY]) == 0
-    lines = [line for line in capsys.readouterr().err.splitlines() if "no batched form" in line]
+    told = output("run", "env=matrix", wrappers, *TINY).err
+    lines = [line for line in told.splitlines() if "no batched form" in line]
     assert lines == [
         "headway: delay_observations_v0 has no batched form: matrix is played as a ParallelEnv, one copy "
         "after another; it has no snapshots: episodes restart on resume"
@@ -245,12 +235,10 @@ def test_the_cost_of_a_wrapper_without_a_batched_form_is_printed_once(
 
 
 @pytest.mark.slow
-def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
-    output: RunOutput, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Stacked frames are in the checkpoint: the curve is that of an uninterrupted run."""
     assert run(["run", "env=visitors", STACK, *TINY]) == 0
-    row = _runs()[0]
+    row = stored_rows()[0]
     directory = Path(row.directory)
     curves = [f"{group}/return" for group in ("training", "evaluation_greedy", "evaluation_sampled")]
     before = [read_curve(directory, name) for name in curves]
@@ -267,9 +255,7 @@ def test_a_wrapped_run_is_resumed_and_evaluated_with_its_wrappers(
 
 
 @pytest.mark.slow
-def test_cells_with_different_training_environments_are_compared(
-    output: RunOutput, refused: Refused, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cells_with_different_training_environments_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     """They differ by training arguments and by a reward wrapper. The progress counts episodes of rules, cells
     and their seeds."""
     for words in (("env.wrappers=[clip_reward_v0]",), ("seed=0,1",), ("env.training_args.steps=9",)):
@@ -291,12 +277,10 @@ def test_cells_with_different_training_environments_are_compared(
 
 
 @pytest.mark.slow
-def test_rules_whose_inputs_wrappers_hide_are_left_out_in_one_line(
-    output: RunOutput, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rules_whose_inputs_wrappers_hide_are_left_out_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     hiding = "env.wrappers=[{name: max_observation_v0, memory: 2}]"
     assert run(["run", "env=trivial", hiding, *TINY, "evaluation.rules=[random]"]) == 0
-    name = _runs()[0].run_id
+    name = stored_rows()[0].run_id
     for words in (["compare", "default"], ["evaluate", name]):
         printed = output(*words, "--episodes", "2")
         assert "rule random" in printed.out
@@ -309,17 +293,16 @@ def test_rules_whose_inputs_wrappers_hide_are_left_out_in_one_line(
 
     monkeypatch.setattr("headway_launch.runner.checkpointed_policy.policy_episodes", play)
     for words in (["compare", "default"], ["evaluate", name]):
-        assert run([*words, "--episodes", "2", "--rules", "random,optimal"]) == 2
-        line = capsys.readouterr().err.splitlines()[-1]
+        line = failed(*words, "--episodes", "2", "--rules", "random,optimal").splitlines()[-1]
         assert line.startswith("headway: --rules: rule 'optimal' of trivial cannot inspect")
         assert "evaluation.rules" not in line
 
 
 @pytest.mark.slow
-def test_a_checkpoint_with_other_observations_prints_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_checkpoint_with_other_observations_prints_one_line() -> None:
     """The run is evaluated as if this version of the environment had smaller observations."""
     assert run(["run", "env=trivial", *TINY]) == 0
-    row = _runs()[0]
+    row = stored_rows()[0]
     folder = Path(row.directory) / CHECKPOINTS
     iteration, state, _ = load_latest(folder)
     for name in ("observation_mean", "observation_scale"):
@@ -328,15 +311,13 @@ def test_a_checkpoint_with_other_observations_prints_one_line(capsys: pytest.Cap
     for command in ("evaluate", "compare", "resume"):
         if command == "resume":
             end_as(row.directory)
-        capsys.readouterr()
-        assert run([command, "default" if command == "compare" else row.run_id]) == 2
-        notices = capsys.readouterr().err
+        notices = failed(command, "default" if command == "compare" else row.run_id)
         assert f"run {row.run_id} was trained on a version of trivial with other observations" in notices
         assert "train it again" in notices
         assert "ValueError" not in notices
 
 
-def test_wrappers_are_listed_with_their_arguments(rows_of: RowsOf, refused: Refused) -> None:
+def test_wrappers_are_listed_with_their_arguments() -> None:
     rows = rows_of("list", "wrappers")
     assert rows[0] == ["wrapper", "arguments", "batched", "description"]
     by_name = {row[0]: row[1:3] for row in rows}

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
-from command_lines import Refused, RunOutput
+from command_lines import output, refused
 from jsonschema import Draft7Validator
 
 from headway_launch.experiments.compose import compose
@@ -124,7 +124,7 @@ def test_keys_have_types_choices_defaults_and_descriptions() -> None:
     assert model["core"]["enum"] == ["none", "gru"]
 
 
-def test_the_users_files_are_known(tmp_path: Path, output: RunOutput, refused: Refused) -> None:
+def test_the_users_files_are_known(tmp_path: Path) -> None:
     for name, text in {"env/small": "{id: trivial}", "preset/mine": "{mappo: {}}"}.items():
         file = tmp_path / f"{name}.yaml"
         file.parent.mkdir(exist_ok=True)
@@ -137,7 +137,7 @@ def test_the_users_files_are_known(tmp_path: Path, output: RunOutput, refused: R
     assert "small.yaml is not valid YAML" in refused("list", "schema", "--config-dir", str(tmp_path))
 
 
-def test_the_command_prints_it_and_refuses_other_kinds(output: RunOutput, refused: Refused) -> None:
+def test_the_command_prints_it_and_refuses_other_kinds() -> None:
     assert json.loads(output("list", "schema").out)["title"] == "Headway: experiment"
     assert refused("list", "schema", "presets").startswith(
         "headway: there is no schema of 'presets'; did you mean preset?"

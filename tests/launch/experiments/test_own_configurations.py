@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from command_lines import Refused, RowsOf, RunOutput
+from command_lines import output, refused, rows_of
 from small_runs import SMALL
 
 from headway.config.schema import plain
@@ -126,11 +126,11 @@ def test_files_of_the_project_can_be_given_by_path() -> None:
         (BOMB, "it has more than 100,000 nodes, aliases written out"),
     ],
 )
-def test_a_bad_file_is_one_line(text: str, line: str, refused: Refused) -> None:
+def test_a_bad_file_is_one_line(text: str, line: str) -> None:
     assert line in refused("run", str(written("bad.yaml", text)))
 
 
-def test_no_file_and_two_experiments_are_one_line(empty_folder: Path, refused: Refused) -> None:
+def test_no_file_and_two_experiments_are_one_line(empty_folder: Path) -> None:
     assert "no.yaml: there is no such file; give an experiment's YAML file" in refused("run", "no.yaml")
     Path("folder.yaml").mkdir()
     assert "folder.yaml: there is no such file" in refused("sweep", "folder.yaml")
@@ -141,21 +141,19 @@ def test_no_file_and_two_experiments_are_one_line(empty_folder: Path, refused: R
         )
 
 
-def test_an_environment_as_a_word_is_named_with_its_key(empty_folder: Path, refused: Refused) -> None:
+def test_an_environment_as_a_word_is_named_with_its_key(empty_folder: Path) -> None:
     written("own/shuttle.py", "")
     assert "did you mean env=./own/shuttle.py?" in refused("run", "own/shuttle.py")
 
 
 @pytest.mark.parametrize("form", ["preset: quick", "defaults: [override /preset: quick]"])
-def test_a_preset_of_a_folder_that_was_not_given_is_named_with_it(
-    form: str, folder: str, refused: Refused
-) -> None:
+def test_a_preset_of_a_folder_that_was_not_given_is_named_with_it(form: str, folder: str) -> None:
     file = written(f"{folder}/experiment/other.yaml", f"env: tracking\nalgo: ippo\n{form}\n")
     assert f"no preset 'quick'; --config-dir {folder} would know it" in refused("run", str(file))
 
 
 @pytest.mark.slow
-def test_a_stored_configuration_trains_again(folder: str, output: RunOutput) -> None:
+def test_a_stored_configuration_trains_again(folder: str) -> None:
     """It trains in the same cell, also if its preset no longer exists, and with other values."""
     words = ["experiment=ours", *SMALL, "env.args.steps=8"]
     assert run(["run", "--config-dir", folder, *words, "seed=3"]) == 0
@@ -174,7 +172,7 @@ def test_a_stored_configuration_trains_again(folder: str, output: RunOutput) -> 
     assert len({row.cell for row in RunIndex(Path("runs")).rows()}) == 1
 
 
-def test_a_folder_adds_to_all_commands_that_compose(folder: str, rows_of: RowsOf, output: RunOutput) -> None:
+def test_a_folder_adds_to_all_commands_that_compose(folder: str) -> None:
     with own_configs(folder):
         experiment = compose(["experiment=ours"])
         assert (experiment.config.preset, lr(experiment)) == ("quick", 0.002)
@@ -192,7 +190,7 @@ def test_a_folder_adds_to_all_commands_that_compose(folder: str, rows_of: RowsOf
     assert f"--config-dir={Path(folder).resolve()}" in script
 
 
-def test_bad_folders_are_one_line(folder: str, refused: Refused) -> None:
+def test_bad_folders_are_one_line(folder: str) -> None:
     Path("empty").mkdir()
     for name in ("empty", "nowhere", "our lab/data", "our lab/experiment/ours.yaml"):
         assert f"--config-dir {name} has no YAML files in a folder" in refused(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from command_lines import RunOutput
+from command_lines import output
 from small_runs import SMALL
 
 from headway.store.parquet_log import read_rows
@@ -43,7 +43,7 @@ def test_the_imitated_policy_is_given_beside_its_rule(root: Path) -> None:
     )
 
 
-def test_the_parent_is_named_with_its_cost(root: Path, output: RunOutput, tmp_path: Path) -> None:
+def test_the_parent_is_named_with_its_cost(root: Path, tmp_path: Path) -> None:
     [parent] = (root / "default").glob("*-s0-*")
     seconds = json.loads((parent / "summary.json").read_text())["cpu_seconds"]
     words = (
@@ -55,7 +55,7 @@ def test_the_parent_is_named_with_its_cost(root: Path, output: RunOutput, tmp_pa
     assert words in re.sub(r"\s+", " ", (tmp_path / "report.html").read_text())
 
 
-def test_the_run_that_starts_from_another_says_so(root: Path, output: RunOutput) -> None:
+def test_the_run_that_starts_from_another_says_so(root: Path) -> None:
     [parent] = (root / "default").glob("*-s1-*")
     words = ["env=trivial", "algo=ippo", "backend=serial", *SMALL, f"store.root={root}", "study=cousins"]
     out, err = output("run", *words, "seed=5", f"start.run={parent.name}")
@@ -84,7 +84,7 @@ def test_a_parent_that_was_deleted_is_no_error(root: Path, tmp_path: Path) -> No
     assert line.endswith("which is no longer in the store")
 
 
-def test_stages_are_named_with_what_they_change(tmp_path: Path, output: RunOutput) -> None:
+def test_stages_are_named_with_what_they_change(tmp_path: Path) -> None:
     words = ["env=tracking", "algo=ippo", "backend=serial", *SMALL, f"store.root={tmp_path}", "seed=0"]
     stages = "stages=[{env_steps: 60, training_args: {noise: 0.01, effort: 0.2}}, {env_steps: 120}]"
     out, err = output("run", *[word for word in words if not word.startswith("env_steps")], stages)

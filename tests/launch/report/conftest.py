@@ -1,17 +1,17 @@
 """Studies written into a store by hand: real configurations with chosen results."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
+from stored_runs import ELSEWHERE
+from stored_runs import keep as keep_anyhow
 
-from headway.store.atomic_files import write_json, write_text
-from headway.store.parquet_log import RunLog
-from headway.store.run_folder import Process, RunRecord, Status, create_run_folder, now, rules_file
+from headway.events import Row
+from headway.store.atomic_files import write_json
+from headway.store.run_folder import Status, cell_name, rules_file
 from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 
@@ -64,30 +64,23 @@ def keeper(root: Path) -> Callable[..., Path]:
         parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
         env, algo = experiment.config.env.id, experiment.algo_name
         mapping = full_mapping(experiment, [seed])
-        policies = str(mapping["algo"]["policies"])
-        elsewhere = replace(Process.current(), host="elsewhere")
-        record = RunRecord("", study, env, algo, seed, 4, now(), elsewhere, status, policies)
-        run_id, directory = create_run_folder(root, study, replace(record, parameters=parameters).cell, seed)
-        tags = {"version.headway": "0.1.0", "git.dirty": "true"}
-        preset = experiment.config.preset
-        record = replace(
-            record, run_id=run_id, parameters=parameters, tags=tags, durable_env_steps=40, preset=preset
-        )
-        record.write(directory)
-        write_text(directory / "config.yaml", yaml.safe_dump(mapping, sort_keys=False))
-        summary = {"final_reward": final, "cpu_seconds": 3.0 + seed, "steps_per_second": 10.0}
-        write_json(directory / "summary.json", {**summary, **(energy or {})})
-        log = RunLog(directory)
+        curve: list[Row] = []
         for iteration in range(points):
             value = final * min(iteration / 2, 1.0)
-            row = {"iteration": iteration, "env_steps": 10 * iteration, "wall_s": 1.0}
+            row: Row = {"iteration": iteration, "env_steps": 10 * iteration, "wall_s": 1.0}
             if trained is None or iteration in trained:
                 row["training/return"] = value / 2
-            log.append("curve", [{**row, "evaluation_greedy/return": value, **_of_curve(metrics)}])
-        label = {"iteration": 4, "env_steps": 40, "mode": "greedy", "final": 1, "length": 5}
+            curve.append({**row, "evaluation_greedy/return": value, **_of_curve(metrics)})
+        label: Row = {"iteration": 4, "env_steps": 40, "mode": "greedy", "final": 1, "length": 5}
         days = [{**label, "episode_seed": day, "return": final + day, **metrics} for day in range(last)]
-        log.append("evaluation", days)
-        log.commit(4)
+        cell = cell_name(env, algo, parameters)
+        directory = keep_anyhow(
+            root, study, seed, env, algo, cell,
+            {"final_reward": final, "cpu_seconds": 3.0 + seed, "steps_per_second": 10.0, **(energy or {})},
+            mapping, {"curve": curve, "evaluation": days}, iterations=4, session=ELSEWHERE, status=status,
+            policies=str(mapping["algo"]["policies"]), parameters=parameters, durable_env_steps=40,
+            tags={"version.headway": "0.1.0", "git.dirty": "true"}, preset=experiment.config.preset,
+        )  # fmt: skip
         played = {
             rule: [
                 {"episode_seed": day, "return": value + day, **metrics, **(rule_metrics or {})}
@@ -96,7 +89,7 @@ def keeper(root: Path) -> Callable[..., Path]:
             for rule, value in (rules or {}).items()
         }
         if played:
-            write_json(rules_file(root, study, record.cell), played)
+            write_json(rules_file(root, study, cell), played)
         return directory
 
     return keep

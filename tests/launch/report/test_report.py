@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from command_lines import Refused
+from command_lines import refused
 from matplotlib.axes import Axes
 from sections import section_of, tables, words
 
@@ -150,9 +150,7 @@ def test_every_result_of_the_summary_names_its_episodes(two: Two, keep_run: Keep
     assert "differing numbers of episodes per evaluation" in made(root).summary[0]
 
 
-def test_budgets_that_differ_by_rounding_are_noted_below_the_tables(
-    two: Two, keep_run: Keep, root: Path
-) -> None:
+def test_budgets_that_differ_by_rounding_are_noted_below_tables(two: Two, keep_run: Keep, root: Path) -> None:
     assert "number of environment steps" not in text_of(two.report)
     copytree(two.root, root)
     for seed in range(3):
@@ -339,9 +337,7 @@ def test_energy_that_was_not_measured_is_not_zero(keep_run: Keep, root: Path) ->
         ({"cpu_seconds": None}, "Reward against cost"),
     ],
 )
-def test_title_names_the_cost_that_is_shown(
-    keep_run: Keep, root: Path, energy: Mapping[str, Any], title: str
-) -> None:
+def test_title_names_the_cost(keep_run: Keep, root: Path, energy: Mapping[str, Any], title: str) -> None:
     for seed in range(2):
         keep_run(TRACKING, seed, 1.0, energy=energy)
     section = section_of(root, tradeoff_section)
@@ -677,9 +673,7 @@ def test_lower_costs_are_better(keep_run: Keep, root: Path) -> None:
     assert chances["ippo"] == 1
 
 
-def test_metrics_have_their_units_and_rules_one_order_in_tables_and_pictures(
-    keep_run: Keep, root: Path
-) -> None:
+def test_metrics_have_units_and_rules_one_order_in_tables_and_pictures(keep_run: Keep, root: Path) -> None:
     rules = {"random": 3.0, "idle": 1.0, "idm_mobil": 2.0}
     for seed in range(2):
         keep_run(("experiment=merge_mappo",), seed, 5.0 + seed, rules=rules, mean_speed_ms=22.0)
@@ -723,7 +717,7 @@ def test_names_and_text_cannot_break_the_page() -> None:
     ],
 )
 def test_bad_input_is_one_line(
-    words: tuple[str, ...], line: str, keep_run: Keep, root: Path, empty_folder: Path, refused: Refused
+    words: tuple[str, ...], line: str, keep_run: Keep, root: Path, empty_folder: Path
 ) -> None:
     keep_run(TRACKING, 0, 1.0)
     keep_run(TRACKING, 0, 1.0, status="KILLED", study="empty")

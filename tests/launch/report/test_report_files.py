@@ -68,9 +68,7 @@ def test_a_markdown_page_links_every_file_beside_it_and_no_other(root: Path, tmp
     assert f"Written by `{command}` from the store's files alone" in " ".join(text.split())
 
 
-def test_formats_have_the_same_sections_and_tables(
-    report: Report, pages: dict[str, Path], formats: Path
-) -> None:
+def test_formats_share_sections_and_tables(report: Report, pages: dict[str, Path], formats: Path) -> None:
     html, text = pages["html"].read_text(), pages["markdown"].read_text()
     titles = [section.title for section in report.sections]
     assert titles == re.findall("^## (.*)$", text, re.MULTILINE) == re.findall("<h2>(.*)</h2>", html)[1:]

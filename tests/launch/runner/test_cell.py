@@ -17,9 +17,7 @@ RULES = ("evaluation.rules=[optimal]", "evaluation.episodes=3", "evaluation.fina
 TINY = ("env=trivial", "algo=ippo", "env.args.agents=2", "env.args.steps=20", "study=kept", *RULES)
 
 
-def test_another_evaluation_seed_plays_the_rules_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_evaluation_seed_plays_rules_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Episode seeds count from 0 for every evaluation seed, which is not a parameter of the cell."""
     roots: list[int] = []
     play = cell_module.rule_episodes

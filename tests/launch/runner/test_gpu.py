@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from command_lines import RunOutput
+from command_lines import output
 from gpu import needs_gpu
 from small_runs import SMALL, end_as
 
@@ -34,9 +34,7 @@ def test_a_session_trains_a_stack_of_seeds_on_a_gpu_and_resumes_it(backend: str,
     assert [summary["final_reward"] for summary in again] == [summary["final_reward"] for summary in first]
 
 
-def test_what_a_gpu_imitated_and_trained_is_the_start_of_another_run_and_is_evaluated(
-    empty_folder: Path, output: RunOutput
-) -> None:
+def test_what_a_gpu_imitated_and_trained_starts_another_run_and_is_evaluated(empty_folder: Path) -> None:
     by_rule = ["start.rule=optimal", "start.env_steps=640", "env_steps=704"]
     assert run(["run", *TINY, *by_rule, "backend=serial"]) == 0
     (parent,) = RunIndex(Path(StoreConfig().root)).rows()

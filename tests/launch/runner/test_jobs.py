@@ -83,9 +83,7 @@ def test_a_configuration_within_the_limit_is_unchanged() -> None:
         ),
     ],
 )
-def test_impossible_settings_are_refused_with_ones_that_work(
-    spec: EnvSpec, config: ExperimentConfig, line: str
-) -> None:
+def test_refusals_name_settings_that_work(spec: EnvSpec, config: ExperimentConfig, line: str) -> None:
     with pytest.raises(HeadwayError, match=f"a process can hold {line}") as refusal:
         within_processes(config, spec)
     ways = str(refusal.value).split("; set ")[1].split(", or ")
@@ -188,9 +186,7 @@ def _limited_a3c(*overrides: str) -> Experiment:
     return _limited("algo=a3c", "rollout.block=8", "seed=0..8", *overrides)
 
 
-def test_the_number_of_workers_of_an_asynchronous_algorithm_is_printed_once(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_number_of_asynchronous_workers_is_printed_once(capsys: pytest.CaptureFixture[str]) -> None:
     four = "a3c has 4 workers (rollout.copies / rollout.block) and computes one gradient per rollout of 2 x"
     for overrides, line in (((), four), (("rollout.block=8",), "a3c has 1 worker (")):
         plan_jobs(_asynchronous(*overrides))
@@ -275,10 +271,7 @@ THOUSANDS = ["rollout.copies=8", "rollout.steps=125"]
     ("words", "line"),
     [
         (["start.rule=optimal", "start.env_steps=0"], "start.env_steps must be at least 1, not 0"),
-        (
-            ["start.rule=optimal", "start.env_steps=9000"],
-            "of 9000 leaves nothing of env_steps=9000",
-        ),
+        (["start.rule=optimal", "start.env_steps=9000"], "of 9000 leaves nothing of env_steps=9000"),
         (
             ["start.rule=optimal", "start.env_steps=9", "start.critic_iterations=8", *THOUSANDS],
             "critic_iterations of 8 leaves no iteration .* there are 8, of 1000 .* set at most 7, or raise",
@@ -368,10 +361,7 @@ def test_training_starts_from_the_policies_of_one_run_of_a_stack(parents: Path, 
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (
-            ["algo.model.hidden=[8,8]"],
-            r"\(bias_0 is \(1, 64, 1\) there and \(1, 8, 1\) here\); start from",
-        ),
+        (["algo.model.hidden=[8,8]"], r"\(bias_0 is \(1, 64, 1\) there and \(1, 8, 1\) here\); start from"),
         (["algo.model.hidden=[8]"], "only theirs have bias_2.; start from a run .* algo.model"),
         (["env=visitors"], "have another shape .*same observations, actions"),
         (["algo.policies=independent", "algo.shared_until=0.5"], "start.run takes over separate policies"),

@@ -15,15 +15,13 @@ from typing import NoReturn, cast
 
 import psutil
 import pytest
-from command_lines import Refused
-from small_runs import SMALL
+from command_lines import failed, output, refused
+from small_runs import SMALL, stored_rows
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, IterationFinished
 from headway.store.checkpoint import latest_iteration
-from headway.store.index import RunIndex, RunRow
 from headway.store.run_folder import CHECKPOINTS
-from headway_launch.commands.main import run
 from headway_launch.runner.cell import SessionCell
 from headway_launch.runner.runner import Runner
 from headway_launch.runner.scheduler import StopRequests
@@ -82,17 +80,10 @@ def headway(*arguments: str, folder: Path) -> Iterator[Running]:
         process.wait()
 
 
-def runs(folder: Path) -> list[RunRow]:
-    return RunIndex(folder / "runs").rows()
-
-
 @pytest.mark.slow
-def test_a_run_ends_with_a_table_and_is_in_the_store(
-    empty_folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_ends_with_a_table_and_is_in_the_store(empty_folder: Path) -> None:
     words = ("backend=serial", "seed=3,4", "env_steps=256", "evaluation.rules=[optimal]")
-    code, shown = run(["run", *TINY, *words]), capsys.readouterr()
-    assert code == 0, shown.err
+    shown = output("run", *TINY, *words)
     table = [line.split("\t") for line in shown.out.splitlines()]
     assert table[0][:4] == ["seed", "status", "final reward (1 episode)", "AUC (own range)"]
     assert [row[:2] for row in table[1:3]] == [["3", "FINISHED"], ["4", "FINISHED"]]
@@ -102,7 +93,7 @@ def test_a_run_ends_with_a_table_and_is_in_the_store(
     assert float(of_rule["return"]) == 20.0
     assert "headway browse" in shown.err
     assert "of the training processes'" not in shown.err  # too short for a store share
-    assert [(row.seed, row.status, row.env_steps) for row in runs(empty_folder)] == [
+    assert [(row.seed, row.status, row.env_steps) for row in stored_rows(empty_folder)] == [
         (3, "FINISHED", 256),
         (4, "FINISHED", 256),
     ]
@@ -120,13 +111,11 @@ def test_the_share_of_the_store_is_printed_for_long_trainings(
 
 
 @pytest.mark.slow
-def test_ctrl_c_keeps_everything_resume_continues_and_a_killed_session_leaves_no_process(
-    tmp_path: Path,
-) -> None:
+def test_ctrl_c_keeps_all_resume_continues_and_a_killed_session_leaves_no_process(tmp_path: Path) -> None:
     # Seed 1 waits for seed 0, so one run never starts.
     words = ("seed=0,1", "backend.parallel=1", "backend.workers=2", "store.checkpoint_every=3")
     with headway("run", *TINY, *LONG, *words, folder=tmp_path) as running:
-        running.wait_for(lambda: any(row.iterations for row in runs(tmp_path)))
+        running.wait_for(lambda: any(row.iterations for row in stored_rows(tmp_path)))
         running.process.send_signal(signal.SIGINT)
         running.wait_for(lambda: running.has_said("Ctrl-C again"))
         running.process.send_signal(signal.SIGTERM)  # belongs to the same request
@@ -134,24 +123,24 @@ def test_ctrl_c_keeps_everything_resume_continues_and_a_killed_session_leaves_no
         shown = running.table()
     assert running.has_said("with a checkpoint")
     assert running.has_said("headway resume")
-    first = {row.seed: row for row in runs(tmp_path)}
+    first = {row.seed: row for row in stored_rows(tmp_path)}
     assert {seed: row.status for seed, row in first.items()} == {0: "KILLED", 1: "KILLED"}
     assert latest_iteration(Path(first[0].directory, CHECKPOINTS)) == first[0].iterations
     assert shown[0]["env steps"] == str(first[0].env_steps)
 
     with headway("resume", "--study", "default", folder=tmp_path) as running:
-        running.wait_for(lambda: any(row.iterations > first[0].iterations for row in runs(tmp_path)))
+        running.wait_for(lambda: any(row.iterations > first[0].iterations for row in stored_rows(tmp_path)))
         children = running.training()
         assert len(children) >= 3  # a training process and two workers
         running.process.kill()
         running.process.wait()
         assert not psutil.wait_procs(children, timeout=20)[1]
-    assert sorted((row.seed, row.status) for row in runs(tmp_path)) == [(0, "KILLED"), (1, "KILLED")]
+    assert sorted((row.seed, row.status) for row in stored_rows(tmp_path)) == [(0, "KILLED"), (1, "KILLED")]
 
 
 @pytest.mark.slow
 def test_a_lost_training_process_prints_one_line_and_the_others_continue(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     receive = TrainingProcess.receive
 
@@ -164,32 +153,28 @@ def test_a_lost_training_process_prints_one_line_and_the_others_continue(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(TrainingProcess, "receive", receive_and_kill_the_first)
     words = ("env_steps=1e4", "backend=serial", "seed=0,1", "backend.parallel=2")
-    assert run(["run", *TINY, *words]) == 2
-    told = capsys.readouterr().err
+    told = failed("run", *TINY, *words)
     assert told.count("seed 0 failed: its training process was killed by SIGKILL") == 1
-    assert {row.seed: row.status for row in runs(tmp_path)} == {0: "FAILED", 1: "FINISHED"}
+    assert {row.seed: row.status for row in stored_rows(tmp_path)} == {0: "FAILED", 1: "FINISHED"}
 
 
-def test_the_error_of_a_failed_run_is_printed_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_error_of_a_failed_run_is_printed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def training_job(*_: object) -> NoReturn:
         raise HeadwayError("the scenario is gone")
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(SessionCell, "training_job", training_job)
-    assert run(["run", *TINY, "seed=3", "env_steps=256", "backend=serial"]) == 2
-    lines = capsys.readouterr().err.splitlines()
+    lines = failed("run", *TINY, "seed=3", "env_steps=256", "backend=serial").splitlines()
     assert any("to continue, once the cause of the failure is fixed: " in line for line in lines)
     [line] = [line for line in lines if "the scenario is gone" in line]
     told, path = line.split("; see ")
     assert told == "headway: seed 3 failed: the scenario is gone"
-    [row] = runs(tmp_path)
+    [row] = stored_rows(tmp_path)
     assert Path(path).resolve() == (Path(row.directory) / "traceback.txt").resolve()
     assert "HeadwayError: the scenario is gone" in Path(path).read_text()
 
 
-def test_bad_input_starts_nothing(empty_folder: Path, refused: Refused) -> None:
+def test_bad_input_starts_nothing(empty_folder: Path) -> None:
     assert "algo.lrr" in refused("run", *TINY, "algo.lrr=1")
     assert not list(empty_folder.iterdir())
 
@@ -210,7 +195,7 @@ def test_a_second_ctrl_c_kills_at_once_and_the_table_shows_what_is_stored(tmp_pa
         assert not psutil.wait_procs(children, timeout=5)[1]
         shown = running.table()
     assert running.has_said("training after the last checkpoint is lost")
-    [row] = runs(tmp_path)
+    [row] = stored_rows(tmp_path)
     assert (row.status, row.env_steps, row.final_reward) == ("KILLED", 0, None)
     assert (shown[0]["env steps"], shown[0]["final reward (1 episode)"]) == ("0", "")
 

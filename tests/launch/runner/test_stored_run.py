@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_lines import Refused, RowsOf, RunOutput
+from command_lines import failed, output, refused, rows_of
 from small_runs import SMALL, end_as
 
 from headway.api import load_policy
@@ -84,7 +84,7 @@ def test_a_run_of_an_earlier_version_acts_in_the_units_it_was_trained_in() -> No
     assert _returns(stored) == returns
 
 
-def test_a_run_acts_in_scaled_units_and_a_study_keeps_one_kind(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_acts_in_scaled_units_and_a_study_keeps_one_kind() -> None:
     assert run(list(TINY)) == 0
     stored = _only_run()
     policy = stored_policy(stored, stored.experiment.prepare())
@@ -93,13 +93,10 @@ def test_a_run_acts_in_scaled_units_and_a_study_keeps_one_kind(capsys: pytest.Ca
     assert [row["return"] for row in policy_episodes(policy, root, 2, greedy=True)] == _returns(stored)
     with _earlier_version():
         pass
-    assert run(["sweep", *TINY[1:], "seed=0,1"]) == 2
-    assert "set another study name to train all again" in capsys.readouterr().err
+    assert "set another study name to train all again" in failed("sweep", *TINY[1:], "seed=0,1")
 
 
-def test_the_best_policy_is_played_and_exported_in_the_place_of_the_newest(
-    output: RunOutput, rows_of: RowsOf, refused: Refused
-) -> None:
+def test_the_best_policy_is_played_and_exported_in_the_place_of_the_newest() -> None:
     """The best policies are replaced by others than the newest, so that what is taken shows."""
     assert run(list(TINY)) == 0
     stored = _only_run()

@@ -56,9 +56,7 @@ def test_the_warm_up_compiles_all_that_training_needs(arguments: dict[str, str])
     assert all(before)
 
 
-def test_a_session_compiles_before_anything_is_in_the_store(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_session_compiles_before_storing_anything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled: list[tuple[EnvEntry, AlgoEntry]] = []
 
     def stop(experiments: Iterable[Experiment]) -> None:

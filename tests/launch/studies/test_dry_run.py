@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_lines import RunOutput
+from command_lines import output
 from stored_runs import keep_run
 
 from headway.energy.ledger import Energy, JobUsage
@@ -14,7 +14,6 @@ from headway.energy.meter import EnergyMeter
 from headway.events import EvaluationFinished, IterationFinished, Started, Usage
 from headway.store.run_folder import Process
 from headway.training.loop import TrainingJob
-from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.sweep import compose_sweep
 from headway_launch.runner.calibration import Pace
@@ -52,9 +51,7 @@ def test_the_cost_of_a_job_is_start_iterations_and_evaluations() -> None:
 
 
 @pytest.mark.slow
-def test_a_dry_run_lists_estimates_and_keeps_nothing(
-    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dry_run_lists_estimates_and_keeps_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     finished: list[JobUsage] = []
     started: list[TrainingProcess] = []
     finish, start = EnergyMeter.finish, TrainingProcess.__init__
@@ -111,7 +108,7 @@ def _measured(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("_measured")
-def test_run_has_a_dry_run(tmp_path: Path, output: RunOutput) -> None:
+def test_run_has_a_dry_run(tmp_path: Path) -> None:
     root = tmp_path / "runs"
     words = ("run", "env=trivial", "algo=ippo", "env_steps=2048", "energy=off", f"store.root={root}")
     shown = output(*words, "--dry-run").out
@@ -122,13 +119,11 @@ def test_run_has_a_dry_run(tmp_path: Path, output: RunOutput) -> None:
 
 
 @pytest.mark.usefixtures("_measured")
-def test_the_dry_run_of_a_search_tells_its_budget_and_cost(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_dry_run_of_a_search_tells_its_budget_and_cost(tmp_path: Path) -> None:
     pytest.importorskip("optuna", reason='Optuna is not installed: pip install "headway[search]"')
     root = tmp_path / "runs"
-    assert run(["search", "toy_tracking", "energy=off", f"store.root={root}", "--dry-run"]) == 0
-    _, ippo, mappo, _, total, *_ = capsys.readouterr().out.splitlines()
+    told = output("search", "toy_tracking", "energy=off", f"store.root={root}", "--dry-run").out
+    _, ippo, mappo, _, total, *_ = told.splitlines()
     steps = 8 * 2_048 + 4 * 2_048 + 2 * 4_096
     assert ippo.split("\t")[:6] == ["ippo", "8", "0", "1", "8 to 2,048, 4 to 4,096, 2 to 8,192", str(steps)]
     assert mappo.split("\t")[:6] == ["mappo", *ippo.split("\t")[1:6]]
@@ -138,7 +133,7 @@ def test_the_dry_run_of_a_search_tells_its_budget_and_cost(
 
 
 @pytest.mark.usefixtures("_measured")
-def test_the_estimate_explains_stacks_and_the_place_of_measurement(tmp_path: Path, output: RunOutput) -> None:
+def test_the_estimate_explains_stacks_and_the_place_of_measurement(tmp_path: Path) -> None:
     words = [
         "sweep", "env=trivial", "algo=ippo", "seed=0..4", "rollout.steps=16", "env_steps=1e6", "energy=off",
         "backend=ray", "backend.workers=1", "backend.parallel=1", "backend.stack=3", "evaluation.episodes=1",
@@ -150,7 +145,7 @@ def test_the_estimate_explains_stacks_and_the_place_of_measurement(tmp_path: Pat
 
 
 def test_a_cell_with_finished_runs_costs_their_mean_and_is_not_measured(
-    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ["sweep", "env=trivial", "algo=ippo", "study=toys", "env_steps=2048", "energy=off",
              "backend=serial", "backend.parallel=1", f"store.root={tmp_path}"]  # fmt: skip
@@ -167,7 +162,7 @@ def test_a_cell_with_finished_runs_costs_their_mean_and_is_not_measured(
 
 @pytest.mark.usefixtures("_measured")
 def test_known_and_measured_cells_are_told_apart_and_energy_is_summed_only_if_all_is_known(
-    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ["sweep", "env=trivial", "study=toys", "env_steps=2048", "backend.parallel=1",
              f"store.root={tmp_path}"]  # fmt: skip
@@ -189,7 +184,7 @@ def test_known_and_measured_cells_are_told_apart_and_energy_is_summed_only_if_al
 
 
 @pytest.mark.usefixtures("_measured")
-def test_only_a_cells_own_runs_give_its_estimate(tmp_path: Path, output: RunOutput) -> None:
+def test_only_a_cells_own_runs_give_its_estimate(tmp_path: Path) -> None:
     """A short run of the same settings says little of a long one, which hardly consists of its start."""
     words = ["sweep", "env=trivial", "algo=ippo", "study=toys", "seed=0,1", "energy=off", "backend=serial",
              f"store.root={tmp_path}"]  # fmt: skip
@@ -201,7 +196,7 @@ def test_only_a_cells_own_runs_give_its_estimate(tmp_path: Path, output: RunOutp
 
 
 def test_finished_runs_of_whole_stacks_give_the_cost_of_a_smaller_last_one(
-    tmp_path: Path, output: RunOutput, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ["sweep", "env=trivial", "algo=ippo", "study=toys", "env_steps=2048", "energy=off",
              "backend=serial", "backend.parallel=1", "backend.stack=3", f"store.root={tmp_path}"]  # fmt: skip

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from command_lines import Refused, RunOutput
+from command_lines import failed, output, refused
 from stored_runs import keep_run
 
 from headway.contracts.errors import HeadwayError
@@ -144,9 +144,7 @@ def test_a_broken_plan_prints_one_line(tmp_path: Path) -> None:
         kept_plans(tmp_path, "toys")
 
 
-def test_a_finished_sweep_is_skipped_and_its_table_printed(
-    tmp_path: Path, output: RunOutput, refused: Refused
-) -> None:
+def test_a_finished_sweep_is_skipped_and_its_table_printed(tmp_path: Path) -> None:
     sweep = [*BASE, "algo=ippo,ia2c", "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
     for experiment in compose_sweep(sweep):
         for seed in (0, 1):
@@ -169,24 +167,17 @@ HELD = (
 )
 
 
-def test_runs_of_another_session_are_an_error_with_a_way_to_continue(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_runs_of_another_session_are_an_error_with_a_way_to_continue(tmp_path: Path) -> None:
     small = ("env_steps=64", "rollout.copies=4", "rollout.block=2", "rollout.steps=16")
     sweep = [*BASE, "algo=ippo", *small, "seed=0,1", "evaluation.rules=[]", f"store.root={tmp_path}"]
     [experiment] = compose_sweep(sweep)
     keep_run(tmp_path, experiment, 0, "FINISHED")
     held = keep_run(tmp_path, experiment, 1, "RUNNING")
     store = ("--store", str(tmp_path))
-    assert run(["sweep", *sweep]) == 2
-    counts = "1 finished and skipped, 1 in other sessions"
-    shown = capsys.readouterr().err.splitlines()
-    assert f"headway: 2 runs of study toys: {counts}" in shown
-    assert shown[-1] == HELD
-    assert run(["resume", "--study", "toys", *store]) == 2
-    assert capsys.readouterr().err.splitlines()[-1] == HELD
-    assert run(["resume", held, *store]) == 2
-    assert capsys.readouterr().err == (
+    shown = failed("sweep", *sweep).splitlines()
+    assert "headway: 2 runs of study toys: 1 finished and skipped, 1 in other sessions" in shown
+    assert shown[-1] == failed("resume", "--study", "toys", *store).splitlines()[-1] == HELD
+    assert failed("resume", held, *store) == (
         f"headway: run {held} is being run by process 1 on elsewhere: stop that process first, or, if it was "
         'killed, set "status": "KILLED" in the run\'s run.json\n'
     )
@@ -222,9 +213,7 @@ def _trained(session: StudySession) -> tuple[list[Path], list[tuple[int, str]]]:
     return runner.left_to_others(), [(row.seed, row.status) for row in rows]
 
 
-def test_sessions_that_start_together_train_each_seed_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_simultaneous_sessions_train_seeds_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The second is planned before the first has begun any run."""
     keep_run(tmp_path, compose_sweep([*BASE, *SMALL, f"store.root={tmp_path}"])[0], 3, "KILLED")
     first, second, fresh = (

@@ -1,18 +1,18 @@
 """Which runs of a study count, the line about the others, and the names of its cells."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import count
 from pathlib import Path
 
 import pytest
 import yaml
+from stored_runs import ELSEWHERE, keep
 
 from headway.contracts.errors import HeadwayError
 from headway.store.cell_names import CellChoice, labelled_cells, names_among
 from headway.store.index import RunIndex
-from headway.store.run_folder import Process, RunRecord, Status, create_run_folder
+from headway.store.run_folder import Status
 from headway_launch.studies.runs import configuration, finished_runs
 
 _SECONDS = count()
@@ -23,13 +23,10 @@ def keep_run(
     root: Path, seed: int, status: Status, started: str = "", policies: str = "", preset: str = "",
     candidate: str = "", **parameters: str,
 ) -> str:  # fmt: skip
-    run_id, directory = create_run_folder(root, "bus", "cell", seed)
-    elsewhere = replace(Process.current(), host="elsewhere")  # counts as running
     moment = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=next(_SECONDS))
     started = started or moment.isoformat(timespec="milliseconds")
-    record = RunRecord(run_id, "bus", "bus", "ippo", seed, 10, started, elsewhere, status, policies)
-    replace(record, parameters=parameters, preset=preset, candidate=candidate).write(directory)
-    return run_id
+    names = {"policies": policies, "preset": preset, "candidate": candidate, "parameters": parameters}
+    return keep(root, "bus", seed, started=started, session=ELSEWHERE, status=status, **names).name
 
 
 def test_runs_left_out_are_counted_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -42,9 +39,7 @@ def test_runs_left_out_are_counted_in_one_line(tmp_path: Path, capsys: pytest.Ca
     )
 
 
-def test_a_seed_that_was_trained_twice_is_one_seed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_seed_trained_twice_is_one_seed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     keep_run(tmp_path, 3, "FINISHED", "2026-01-01T00:00:00.000+00:00")
     newest = keep_run(tmp_path, 3, "FINISHED", "2026-01-03T00:00:00.000+00:00")
     keep_run(tmp_path, 3, "FINISHED", "2026-01-02T00:00:00.000+00:00")
@@ -100,9 +95,7 @@ def test_a_cell_is_named_beside_those_that_have_not_finished(tmp_path: Path) -> 
     assert set(runs.runs()["label"]) == {"ippo, algo.lr=0.001"}
 
 
-def test_a_configuration_is_read_without_the_c_loader(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_configuration_is_read_without_the_c_loader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not every build of PyYAML has the C loader."""
     monkeypatch.delattr(yaml, "CSafeLoader", raising=False)
     (tmp_path / "config.yaml").write_text("study: bus")

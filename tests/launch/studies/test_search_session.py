@@ -151,9 +151,7 @@ def test_failed_candidates_leave_the_search_unless_all_fail(opened: Opened, untr
     assert opened("others").run() == EXIT_DONE
 
 
-def test_results_have_the_best_and_a_preset_with_it(
-    opened: Opened, untrained: Untrained, tmp_path: Path
-) -> None:
+def test_results_have_the_best_and_its_preset(opened: Opened, untrained: Untrained, tmp_path: Path) -> None:
     """Failed candidates count as the worst; what the experiment sets over any preset is named."""
     untrained.failing = {("ippo", 1)}
     session = opened("runs", "algo.gamma=0.5")

@@ -62,9 +62,7 @@ def test_no_cell_is_best_of_several_environments(monkeypatch: pytest.MonkeyPatch
     assert study_entries(trained)[0].best == "-79.50 (ippo, 2 seeds)"
 
 
-def test_a_report_is_made_again_only_when_the_runs_have_changed(
-    client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_report_is_made_anew_only_for_changed_runs(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     page = client.get("/report/pair")
     assert page.status_code == 200
     assert "Study pair" in page.text

@@ -69,10 +69,7 @@ def test_arguments_are_those_of_the_class() -> None:
         ("pettingzo:sisl/pursuit-v5", "no package pettingzo; did you mean env=pettingzoo:sisl/pursuit-v5"),
         ("sisl.pursuit_v5", "no package sisl; did you mean env=pettingzoo.sisl.pursuit_v5"),
         ("nolib:X-v0", "there is no package nolib; install it"),
-        (
-            "os:X-v0",
-            "os is not an installed package that depends on Gymnasium or PettingZoo, and",
-        ),
+        ("os:X-v0", "os is not an installed package that depends on Gymnasium or PettingZoo, and"),
     ],
 )
 def test_unusable_ids_are_one_line_errors(env_id: str, message: str) -> None:

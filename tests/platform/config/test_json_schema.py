@@ -38,9 +38,7 @@ class _Outer:
     ],
     ids=str,
 )
-def test_values_are_accepted_as_records_take_them(
-    hint: object, accepted: list[object], refused: list[object]
-) -> None:
+def test_values_are_taken_as_by_records(hint: object, accepted: list[object], refused: list[object]) -> None:
     schema = Draft7Validator(hint_schema(hint))
     assert [value for value in accepted if not schema.is_valid(value)] == []
     assert [value for value in refused if schema.is_valid(value)] == []

@@ -193,10 +193,7 @@ WRONG: dict[str, tuple[Callable[[Policy], object], str]] = {
         "observations of a0 must be of",
     ),
     "no number": (lambda p: p.act([["x"] * SIZE] * AGENTS, MASKS), "observations cannot be read as an array"),
-    "result of reset": (
-        lambda p: p.act(({"a0": ROWS[0]}, {}), MASKS),
-        "pass the first of (observations",
-    ),
+    "result of reset": (lambda p: p.act(({"a0": ROWS[0]}, {}), MASKS), "pass the first of (observations"),
     "ragged": (lambda p: p.act([[0.0], []], MASKS), "observations cannot be read as an array"),
     "not finite": (
         lambda p: p.act(np.where(np.arange(AGENTS)[:, None] == 3, np.nan, ROWS), MASKS),
@@ -315,9 +312,7 @@ def _foreign_npz() -> bytes:
 
 @pytest.mark.parametrize("suffix", [".npz", ".onnx", ".pt"])
 @pytest.mark.parametrize("damage", ["truncated", "text", "empty", "foreign", "a byte"])
-def test_a_damaged_or_foreign_file_is_one_line(
-    damage: str, suffix: str, recurrent: Kept, tmp_path: Path
-) -> None:
+def test_a_bad_or_foreign_file_is_one_line(damage: str, suffix: str, recurrent: Kept, tmp_path: Path) -> None:
     if suffix == ".onnx":
         pytest.importorskip("onnxruntime")
     form = next(name for name, form in FORMATS.items() if form.suffix == suffix)
@@ -352,9 +347,7 @@ def test_an_array_of_another_shape_is_damage(recurrent: Kept, tmp_path: Path) ->
         ("index_of_agent", [0, 1]), ("hidden_size", -4),
     ],
 )  # fmt: skip
-def test_a_description_that_does_not_fit_is_damage(
-    key: str, value: object, recurrent: Kept, tmp_path: Path
-) -> None:
+def test_a_misfitting_description_is_damage(key: str, value: object, recurrent: Kept, tmp_path: Path) -> None:
     """A file of a stranger's: none of its values may lead to other actions, or to work without end."""
     content = json.loads(recurrent[1].description.to_json())
     content["network"][key] = value
@@ -404,9 +397,7 @@ def test_what_is_no_policy_is_one_line(recurrent: Kept, tmp_path: Path) -> None:
         load_policy(copy)
 
 
-def test_a_policy_that_does_not_describe_itself_is_one_line(
-    recurrent: Kept, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_policy_without_a_description_is_one_line(recurrent: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
     entry, config = trained_run.chosen_algo({"name": "ippo"})
     other = replace(entry, acting_policy=lambda config, spec: object())
     monkeypatch.setattr(trained_run, "chosen_algo", lambda mapping: (other, config))

@@ -10,18 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from stored_runs import keep
 
 from headway.store.atomic_files import write_json
 from headway.store.index import RunIndex, RunRow, _row
-from headway.store.run_folder import Process, RunRecord, create_run_folder, now, read_summary
+from headway.store.run_folder import RunRecord, read_summary
 
 
 def _run(root: Path, seed: int, study: str = "study", **summary: float | None) -> Path:
-    run_id, directory = create_run_folder(root, study, "bus-mappo", seed)
-    record = RunRecord(run_id, study, "bus", "mappo", seed, 10, now(), Process.current(), "FINISHED")
-    record.write(directory)
-    write_json(directory / "summary.json", summary)
-    return directory
+    return keep(root, study, seed, "bus", "mappo", "bus-mappo", summary)
 
 
 def test_rows_match_the_folders(tmp_path: Path) -> None:
@@ -98,9 +95,7 @@ def test_a_broken_record_is_a_notice(tmp_path: Path) -> None:
         ({"parameters": {"algo.lr": 1}}, "parameters.algo.lr=1 is a whole number"),
     ],
 )
-def test_a_record_with_a_wrong_value_is_a_notice(
-    tmp_path: Path, change: dict[str, object], problem: str
-) -> None:
+def test_wrong_values_in_records_are_notices(tmp_path: Path, change: dict[str, object], problem: str) -> None:
     """The other runs stay listed."""
     _run(tmp_path, 0)
     broken = _run(tmp_path, 1) / "run.json"

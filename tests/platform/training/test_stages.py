@@ -77,9 +77,7 @@ def test_one_learner_trains_through_all_stages(tmp_path: Path) -> None:
         assert_equal(began, ended)
 
 
-def test_until_the_first_stage_ends_the_curve_is_that_of_a_run_without_stages(
-    whole: Log, tmp_path: Path
-) -> None:
+def test_until_the_first_stage_ends_the_curve_is_that_without_stages(whole: Log, tmp_path: Path) -> None:
     job = job_of(tmp_path, checkpoint_every=4)
     trained(job)
     plain = {row["iteration"]: row for row in logs_of(job)[0]["curve"]}
@@ -109,9 +107,7 @@ def test_first_episodes_of_a_stage_have_seeds_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("stop", [1, 3, 4, 5])
-def test_a_run_that_is_resumed_in_any_stage_ends_with_the_same_curve(
-    whole: Log, tmp_path: Path, stop: int
-) -> None:
+def test_a_run_resumed_in_any_stage_ends_with_the_same_curve(whole: Log, tmp_path: Path, stop: int) -> None:
     job = _in_stages(job_of(tmp_path, checkpoint_every=4), 3, 2, 1)
     trained(job, stop_after=stop)
     trained(replace(job, resume=True))

@@ -161,9 +161,7 @@ def test_an_unsuitable_wrapper_is_named_before_training(name: str, wrapper: obje
 
 
 @pytest.mark.parametrize("skips", [True, False])
-def test_skipping_steps_is_refused_if_agents_act_at_some_steps_only(
-    skips: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_skipping_steps_is_refused_if_agents_idle(skips: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Wrappers of any name and package are refused."""
     entry = replace(losing("nothing"), skips_steps=skips)
     monkeypatch.setattr(parallel, "wrapper_entry", lambda name: entry)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_lines import Refused, RunOutput
+from command_lines import failed, output, refused, rows_of
 
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepare import prepare
@@ -70,7 +70,7 @@ def test_every_help_shows_examples_and_imports_nothing_heavy() -> None:
         (["realism", "line", "env.args.boardin_s=3"], ["did you mean env.args.boarding_s?"]),
     ],
 )
-def test_errors_are_one_line_with_the_fix(arguments: list[str], parts: list[str], refused: Refused) -> None:
+def test_errors_are_one_line_with_the_fix(arguments: list[str], parts: list[str]) -> None:
     line = refused("data", *arguments)
     assert all(part in line for part in parts), line
 
@@ -82,15 +82,13 @@ def test_errors_are_one_line_with_the_fix(arguments: list[str], parts: list[str]
         "noise.dispatch_s=9", "upkeep.uptime_hours=9",
     ],
 )  # fmt: skip
-def test_keys_that_a_replay_fixes_are_refused(setting: str, refused: Refused) -> None:
+def test_keys_that_a_replay_fixes_are_refused(setting: str) -> None:
     key = setting.partition("=")[0]
     line = refused("data", "realism", "line", f"env.args.{setting}")
     assert f"env.args.{key}: a replay fixes this key; omit it" in line
 
 
-def test_a_written_scenario_is_the_built_in_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, output: RunOutput
-) -> None:
+def test_a_written_scenario_is_the_built_in_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "towns" / "mine"
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     shown, told = output("data", "synthetic", str(out), "--size", "line", "--seed", "5")
@@ -106,9 +104,7 @@ def test_a_written_scenario_is_the_built_in_one(
         np.testing.assert_array_equal(mine, theirs)
 
 
-def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
-    tmp_path: Path, output: RunOutput, refused: Refused
-) -> None:
+def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(tmp_path: Path) -> None:
     folder, out = tmp_path / "counts", tmp_path / "mine"
     folder.mkdir()
     for name, text in _files_of_the_guide().items():
@@ -133,9 +129,7 @@ def test_an_operator_s_files_become_a_scenario_or_nothing_is_written(
     assert prepare(BusConfig(scenario=str(out), start_hour=7, end_hour=9)).notices == ()
 
 
-def test_the_realism_of_a_few_recorded_calls_has_blanks_and_a_caution(
-    tmp_path: Path, output: RunOutput
-) -> None:
+def test_the_realism_of_a_few_recorded_calls_has_blanks_and_a_caution(tmp_path: Path) -> None:
     folder, out = tmp_path / "recorded", tmp_path / "mine"
     folder.mkdir()
     page = GUIDE.read_text(encoding="utf-8")
@@ -149,7 +143,7 @@ def test_the_realism_of_a_few_recorded_calls_has_blanks_and_a_caution(
     assert "1 trip per day: too few to compare" in shown
 
 
-def test_a_scenario_of_sundays_alone_is_run_on_sundays(tmp_path: Path, output: RunOutput) -> None:
+def test_a_scenario_of_sundays_alone_is_run_on_sundays(tmp_path: Path) -> None:
     for name, text in _files_of_the_guide().items():
         lines = text.splitlines()
         if name in ("trips", "link_times", "demand"):
@@ -183,11 +177,7 @@ def _files_of_the_guide() -> dict[str, str]:
     ids=["line", "corridor", "city"],
 )
 def test_the_recommended_command_has_the_settings_of_the_study_of_such_networks(
-    buses: int,
-    like: tuple[str, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    output: RunOutput,
+    buses: int, like: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All sizes that `headway data synthetic --help` lists are tested; the generated town is a line."""
     described = description.by_day_type
@@ -208,9 +198,7 @@ def test_the_recommended_command_has_the_settings_of_the_study_of_such_networks(
     assert experiment.training_env_configs[0].reward == study.training_env_configs[0].reward
 
 
-def test_the_guide_continues_with_the_commands_that_are_printed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, output: RunOutput
-) -> None:
+def test_the_guide_goes_on_with_the_printed_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lines = (PROJECT / "docs" / "guide" / "everyday_use.md").read_text(encoding="utf-8").splitlines()
     commands = [line.split("#")[0].strip() for line in lines if line.startswith("    headway ")]
     [create] = [place for place, command in enumerate(commands) if " data synthetic " in command]
@@ -219,7 +207,7 @@ def test_the_guide_continues_with_the_commands_that_are_printed(
     assert set(last.removeprefix("next: ").split("; ")) <= set(commands[create + 1 :])
 
 
-def test_existing_files_are_not_overwritten(tmp_path: Path, refused: Refused) -> None:
+def test_existing_files_are_not_overwritten(tmp_path: Path) -> None:
     out = tmp_path / "mine"
     assert run(["data", "synthetic", str(out)]) == 0
     again = ["data", "synthetic", str(out), "--seed", "1"]
@@ -233,9 +221,7 @@ def test_existing_files_are_not_overwritten(tmp_path: Path, refused: Refused) ->
 
 
 @pytest.mark.parametrize("other", ["src/a.py", "notes.txt"])
-def test_a_folder_that_holds_more_than_a_scenario_is_never_replaced(
-    other: str, tmp_path: Path, refused: Refused
-) -> None:
+def test_a_folder_that_holds_more_than_a_scenario_is_never_replaced(other: str, tmp_path: Path) -> None:
     project = tmp_path / "project"
     assert run(["data", "synthetic", str(project)]) == 0
     mine = project / other
@@ -252,7 +238,7 @@ def test_a_folder_that_holds_more_than_a_scenario_is_never_replaced(
 
 
 def test_the_old_scenario_comes_back_if_the_new_one_cannot_take_its_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "mine"
     assert run(["data", "synthetic", str(out)]) == 0
@@ -271,9 +257,7 @@ def test_the_old_scenario_comes_back_if_the_new_one_cannot_take_its_place(
 
 
 @pytest.mark.parametrize("out", ["city", "./line/"])
-def test_a_folder_that_could_not_be_named_to_the_environment_is_refused(
-    out: str, empty_folder: Path, refused: Refused
-) -> None:
+def test_a_folder_that_could_not_be_named_to_the_environment_is_refused(out: str, empty_folder: Path) -> None:
     name = Path(out).name
     line = refused("data", "synthetic", out)
     assert f"OUT: env.args.scenario={name} selects the built-in scenario; choose" in line
@@ -281,9 +265,7 @@ def test_a_folder_that_could_not_be_named_to_the_environment_is_refused(
     assert run(["data", "synthetic", f"towns/{name}"]) == 0
 
 
-def test_the_working_directory_and_those_above_are_refused_before_any_work(
-    empty_folder: Path, refused: Refused
-) -> None:
+def test_the_working_directory_and_those_above_are_refused_before_any_work(empty_folder: Path) -> None:
     for out in (".", "", "..", "towns/..", str(empty_folder)):
         line = refused("data", "gtfs", "no feed", out)
         assert "is the working directory or one of its parents; name a folder in it" in line
@@ -301,11 +283,8 @@ def test_a_link_to_a_scenario_stays_one_and_names_the_new_one(tmp_path: Path) ->
     ("size", "lines", "slots", "named"),
     [("line", 1, 14, 1), pytest.param("corridor", 10, 110, 3, marks=pytest.mark.slow)],
 )
-def test_a_description_counts_what_the_environment_runs(
-    size: str, lines: int, slots: int, named: int, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["data", "describe", size, "--lines", "3", "--day-type", "weekday"]) == 0
-    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines() if line]
+def test_descriptions_count_what_the_environment_runs(size: str, lines: int, slots: int, named: int) -> None:
+    rows = rows_of("data", "describe", size, "--lines", "3", "--day-type", "weekday")
     values = {row[0]: row[1:] for row in rows}
     assert values["lines"] == [str(lines)]
     assert values["agents (slots), 05:00-24:00"][0] == str(slots)
@@ -318,9 +297,7 @@ def test_a_description_counts_what_the_environment_runs(
     assert trips == sorted(trips, reverse=True)
 
 
-def test_realism_prints_simulated_beside_measured(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, output: RunOutput, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_realism_prints_simulated_beside_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "recorded"
     assert run(["data", "synthetic", str(out)]) == 0
     (out / "meta.json").write_text('{"source": "records of a test"}')
@@ -341,7 +318,6 @@ def test_realism_prints_simulated_beside_measured(
     assert counted == f"{within} of {len(own)} statistics are within tolerance"
     assert left_out.startswith(f"not judged: {len(cells) - len(own)} statistics measured over all 382")
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    assert run([*realism, "--records", str(tmp_path)]) == 2
-    told = capsys.readouterr().err
+    told = failed(*realism, "--records", str(tmp_path))
     assert "days simulated: 0 of 1" in told
     assert "there is no file od-YYYY-MM-DD.parquet below" in told

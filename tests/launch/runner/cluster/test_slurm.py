@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from command_lines import Refused, RunOutput
+from command_lines import output, refused
 
 from headway.contracts import HeadwayError
 from headway_launch.commands.main import run
@@ -54,7 +54,7 @@ def test_without_ray_waiting_for_nodes_fails_at_once(monkeypatch: pytest.MonkeyP
         wait_for_nodes("127.0.0.1:1", 2)
 
 
-def _written(output: RunOutput, *words: str) -> tuple[Path, list[str]]:
+def _written(*words: str) -> tuple[Path, list[str]]:
     shown = output(*SWEEP, "--slurm", *words)
     path = Path(shown.out.strip())
     assert shown.err.endswith(f"with: sbatch {path}\n")
@@ -72,9 +72,9 @@ def _variable(lines: list[str], name: str) -> list[str]:
     return shlex.split(line.removeprefix(f"{name}=(").removesuffix(")"))
 
 
-def test_a_cluster_in_the_allocation(tmp_path: Path, output: RunOutput) -> None:
+def test_a_cluster_in_the_allocation(tmp_path: Path) -> None:
     further = ("--time", "2-00", "--partition", "short,long", "--sbatch=--mem=8G", "--sbatch=--gpus=1")
-    path, lines = _written(output, "--nodes", "4", "--cpus", "32", *further)
+    path, lines = _written("--nodes", "4", "--cpus", "32", *further)
     assert path == tmp_path / "runs" / "a-study" / "slurm" / "cluster.sbatch"
     assert _options(lines) == [
         "--job-name=headway-a-study", "--nodes=4", "--ntasks-per-node=1", "--cpus-per-task=32",
@@ -85,8 +85,8 @@ def test_a_cluster_in_the_allocation(tmp_path: Path, output: RunOutput) -> None:
     assert not list((tmp_path / "runs").rglob("run.json"))
 
 
-def test_an_array_of_seeds(output: RunOutput) -> None:
-    _, lines = _written(output, "--array", "--cpus", "8")
+def test_an_array_of_seeds() -> None:
+    _, lines = _written("--array", "--cpus", "8")
     assert "--array=0-2" in _options(lines)
     assert _variable(lines, "seeds") == ["3", "5", "6"]
     assert _variable(lines, "overrides") == ["env=visitors", "algo=ippo,ia2c", "study=a study"]
@@ -131,14 +131,12 @@ def test_an_array_of_seeds(output: RunOutput) -> None:
         (("--slurm", "--dry-run"), "--slurm cannot be combined with --dry-run or --fresh"),
     ],
 )
-def test_invalid_options_print_one_line(
-    words: tuple[str, ...], line: str, tmp_path: Path, refused: Refused
-) -> None:
+def test_invalid_options_print_one_line(words: tuple[str, ...], line: str, tmp_path: Path) -> None:
     assert line in refused(*SWEEP, *words)
     assert not list(tmp_path.iterdir())
 
 
-def test_option_values_are_quoted_for_sbatch(tmp_path: Path, output: RunOutput) -> None:
+def test_option_values_are_quoted_for_sbatch(tmp_path: Path) -> None:
     """sbatch splits a line as the shell does; in the name of the output `%` starts a placeholder."""
     words = ('--sbatch=--comment="a #1"', "--sbatch=-A ours", "store.root='a store, 50%/b\"c'")
     shown = output(*SWEEP, "--slurm", "--array", "backend=process", *words)
@@ -148,22 +146,20 @@ def test_option_values_are_quoted_for_sbatch(tmp_path: Path, output: RunOutput) 
     [*_, submitted] = shlex.split(shown.err)
     assert submitted == str(path)
     options = [shlex.split(line, comments=True) for line in _options(path.read_text().splitlines())]
-    output = str(path.parent).replace("%", "%%")
-    assert [f"--output={output}/%A-%a.out"] in options
+    escaped = str(path.parent).replace("%", "%%")
+    assert [f"--output={escaped}/%A-%a.out"] in options
     assert ["--comment=a #1"] in options
     assert ["-A", "ours"] in options
 
 
 @pytest.mark.parametrize("name", ["a\\\\b", "Packjobs"])
-def test_a_folder_name_that_sbatch_cannot_represent_prints_one_line(
-    name: str, tmp_path: Path, refused: Refused
-) -> None:
+def test_a_folder_name_that_sbatch_cannot_represent_prints_one_line(name: str, tmp_path: Path) -> None:
     line = refused(*SWEEP, "--slurm", f"store.root='{name}'")
     assert line.startswith("headway: sbatch cannot write to a folder with ")
     assert not list(tmp_path.iterdir())
 
 
-def test_an_array_of_cells_of_different_seeds_is_refused(tmp_path: Path, refused: Refused) -> None:
+def test_an_array_of_cells_of_different_seeds_is_refused(tmp_path: Path) -> None:
     cells = ("sweep", "experiment=toy_trivial,matrix_nine", "study=both", "--slurm", "--array")
     line = "with --array all cells must have the same seeds: give seed=..., or leave out --array"
     assert refused(*cells) == f"headway: {line}\n"

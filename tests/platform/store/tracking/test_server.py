@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_lines import refused
 from mlflow_server import free_port, start_server
 
 from headway.config.experiment import StoreConfig
@@ -175,18 +176,12 @@ def test_the_next_session_sends_what_an_unreachable_server_missed(
     assert capsys.readouterr().out == ""  # MLflow would print the run's address
 
 
-def test_an_unreachable_server_is_a_one_line_error_at_the_start(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from headway_launch.commands.main import run
-
+def test_an_unreachable_server_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("headway_launch.runner.runner.compile_kernels_of", lambda experiments: None)
     uri = f"http://127.0.0.1:{free_port()}"
-    assert run(["run", "env=trivial", "algo=ippo", "energy=off", f"store.tracking_uri={uri}"]) == 2
-    printed = capsys.readouterr().err
-    assert f"MLflow's server at {uri} cannot be reached" in printed
-    assert printed.count("\n") == 1
+    told = refused("run", "env=trivial", "algo=ippo", "energy=off", f"store.tracking_uri={uri}")
+    assert f"MLflow's server at {uri} cannot be reached" in told
     assert not list(tmp_path.rglob("run.json"))
     with pytest.raises(HeadwayError):
         SessionStore(StoreConfig(root=str(tmp_path), tracking_uri="ftp://nowhere"))
