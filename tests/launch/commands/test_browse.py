@@ -75,9 +75,7 @@ def test_curves_are_drawn(address: str, run: RunRow, start_page: Page) -> None:
     start_page.wait_for("evaluation_greedy")
 
 
-def test_curves_tables_pictures_and_the_configuration_are_files(
-    address: str, run: RunRow, start_page: Page
-) -> None:
+def test_curves_tables_pictures_and_settings_are_files(address: str, run: RunRow, start_page: Page) -> None:
     start_page.open(page_of(address, run, "artifacts"))
     for name in ("config.yaml", "curves.png", "evaluations.csv", "curve-", "energy.parquet", "summary.json"):
         start_page.wait_for(name)

@@ -69,9 +69,7 @@ def test_an_mp4_has_the_frames_and_the_rate_of_the_episode(tmp_path: Path) -> No
     assert np.abs(last - moment).mean() < 4  # the codec loses little
 
 
-def test_an_mp4_without_its_extra_is_refused_before_anything_is_played(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_mp4_without_its_extra_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     monkeypatch.setattr(MergeRenderer, "render", None)
     line = refused("render", *IDLE, "--output", str(tmp_path / "idle.mp4"))

@@ -76,9 +76,7 @@ def test_a_stored_run_is_the_run_of_the_same_settings_today_in_the_same_cell(nam
         ("mappo", {"model": {**MODEL, "gru_size": 3}}, {}),
     ],
 )
-def test_values_that_did_nothing_are_forgotten(
-    name: str, changes: dict[str, Any], today: dict[str, Any]
-) -> None:
+def test_values_without_use_are_forgotten(name: str, changes: dict[str, Any], today: dict[str, Any]) -> None:
     config = resolve(upgraded(_stored(name, **changes))).algo_config
     assert config.model.gru_size == 64
     assert {key: getattr(config, key) for key in today} == today

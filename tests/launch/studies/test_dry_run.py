@@ -144,9 +144,7 @@ def test_the_estimate_explains_stacks_and_the_place_of_measurement(tmp_path: Pat
     assert "It was measured on this machine; on a cluster" in shown
 
 
-def test_a_cell_with_finished_runs_costs_their_mean_and_is_not_measured(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cell_with_finished_runs_costs_their_mean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = ["sweep", "env=trivial", "algo=ippo", "study=toys", "env_steps=2048", "energy=off",
              "backend=serial", "backend.parallel=1", f"store.root={tmp_path}"]  # fmt: skip
     [experiment] = compose_sweep(words[1:])

@@ -240,9 +240,7 @@ def test_a_seed_whose_run_in_another_session_has_failed_is_trained(tmp_path: Pat
     assert _trained(session) == ([], [(0, "FAILED"), (0, "FINISHED")])
 
 
-def test_a_stack_of_which_another_session_has_one_seed_waits_for_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stack_waits_for_another_sessions_seed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The seeds of a stack are trained in one process, so the others are left too, with exit code 2."""
     first, second = (
         StudySession.plan(

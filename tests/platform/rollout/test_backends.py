@@ -32,9 +32,7 @@ def _collected(plan: RolloutPlan, name: str, workers: int = 1, iterations: int =
 
 
 @pytest.mark.parametrize(("toy", "seeds", "workers"), pairwise(TOYS, [(5,), (5, 6, 7)], [1, 3]))
-def test_every_backend_and_number_of_workers_samples_the_same_trajectory(
-    toy: str, seeds: tuple[int, ...], workers: int
-) -> None:
+def test_every_backend_samples_the_same_trajectory(toy: str, seeds: tuple[int, ...], workers: int) -> None:
     plan = plan_of_toy(toy, seeds=seeds, copies=5)  # five copies by three workers: shards of 1, 2 and 2
     serial = _collected(plan, "serial")
     assert sum(len(taken.episodes) for taken in serial) >= 5

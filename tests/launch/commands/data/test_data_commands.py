@@ -237,7 +237,7 @@ def test_a_folder_that_holds_more_than_a_scenario_is_never_replaced(other: str, 
     assert (alone / "meta.json").read_text() == "mine"
 
 
-def test_the_old_scenario_comes_back_if_the_new_one_cannot_take_its_place(
+def test_the_old_scenario_returns_if_the_new_one_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "mine"

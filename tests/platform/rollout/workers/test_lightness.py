@@ -94,9 +94,7 @@ def test_a_worker_is_light(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("environment", ["the library's", "its own"])
-def test_a_worker_imports_the_main_script_only_if_its_environment_is_defined_there(
-    tmp_path: Path, environment: str
-) -> None:
+def test_a_worker_imports_the_main_script_only_for_its_environment(tmp_path: Path, environment: str) -> None:
     """Otherwise a script needs neither a main guard nor light imports."""
     script, report = tmp_path / "script.py", tmp_path / "modules"
     script.write_text(_HEAVY_MAIN)
