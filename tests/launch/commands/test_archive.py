@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from command_lines import Refused
+from command_lines import refused
 from shuttle import SHUTTLE
 from small_runs import SMALL
 
@@ -89,7 +89,7 @@ def test_commands_read_it_as_a_store(
 
 
 def test_it_tells_its_size_licence_and_checksum_and_is_not_overwritten(
-    archive: Path, trained: Path, capsys: pytest.CaptureFixture[str], refused: Refused
+    archive: Path, trained: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     capsys.readouterr()
     words = ["archive", "pair", "--store", str(trained)]
@@ -108,7 +108,7 @@ def test_it_tells_its_size_licence_and_checksum_and_is_not_overwritten(
     assert "there is no study 'pear'" in refused("archive", "pear", "--store", str(trained))
 
 
-def test_policies_are_there_if_they_were_asked_for(archive: Path, trained: Path, refused: Refused) -> None:
+def test_policies_are_there_if_they_were_asked_for(archive: Path, trained: Path) -> None:
     assert run(["archive", "pair", "--store", str(trained), "-o", "more.zip", "--checkpoints"]) == 0
     compare = ["compare", "pair", "--episodes", "2", "--rules", "random"]
     assert run([*compare, "--archive", "more.zip"]) == 0
@@ -150,7 +150,7 @@ def test_elsewhere_a_run_may_be_one_of_its_cells_seeds(
 
 
 def test_elsewhere_a_lone_seed_cannot_be_judged(
-    trained: Path, empty_folder: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
+    trained: Path, empty_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def only_first(name: str, content: bytes) -> bytes:
         if name.endswith("run.json") and (record := json.loads(content))["seed"] == 1:
@@ -164,7 +164,7 @@ def test_elsewhere_a_lone_seed_cannot_be_judged(
     assert "a tolerance needs two seeds of its cell" in line
 
 
-def test_a_changed_byte_of_a_table_is_found(archive: Path, refused: Refused) -> None:
+def test_a_changed_byte_of_a_table_is_found(archive: Path) -> None:
     with zipfile.ZipFile(archive) as container:
         [member, *_] = [each for each in container.infolist() if "curve-" in each.filename]
     content = bytearray(archive.read_bytes())
@@ -186,7 +186,7 @@ def test_a_run_that_starts_from_another_is_archived_with_it(
 
 
 def test_files_that_it_does_not_hold_are_named_and_can_be_elsewhere_again(
-    empty_folder: Path, capsys: pytest.CaptureFixture[str], refused: Refused
+    empty_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("shuttle.py").write_text(SHUTTLE)
     assert run(["run", "env=./shuttle.py", "algo=ippo", "study=file", *SMALL, "env.shared_reward=false"]) == 0
@@ -214,13 +214,11 @@ def test_files_that_it_does_not_hold_are_named_and_can_be_elsewhere_again(
     ],
 )
 @pytest.mark.usefixtures("archive")
-def test_bad_input_is_one_line(words: list[str], line: str, refused: Refused) -> None:
+def test_bad_input_is_one_line(words: list[str], line: str) -> None:
     assert line in refused("verify", *words)
 
 
-def test_a_study_without_finished_runs_has_no_archive(
-    trained: Path, empty_folder: Path, refused: Refused
-) -> None:
+def test_a_study_without_finished_runs_has_no_archive(trained: Path, empty_folder: Path) -> None:
     shutil.copytree(trained, "runs")
     for row in RunIndex(Path("runs")).rows():
         path = Path(row.directory, "run.json")

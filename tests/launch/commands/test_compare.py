@@ -157,7 +157,7 @@ def test_a_study_is_named_by_its_store_too(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_learners_of_two_stores_are_compared_and_their_best_policies_kept(
-    trained: Path, tmp_path: Path, output: RunOutput, refused: Refused
+    trained: Path, tmp_path: Path
 ) -> None:
     copytree(trained, "runs")
     copytree(trained, "old/runs")

@@ -10,11 +10,10 @@ import pytest
 from command_lines import output, refused
 from stored_runs import keep
 
-from headway.store.atomic_files import write_json, write_text
-from headway.store.index import RunIndex
-from headway.store.parquet_log import RunLog
-from headway.store.run_folder import Process, RunRecord, best_file, create_run_folder
 from headway.events import Row
+from headway.store.atomic_files import write_json
+from headway.store.index import RunIndex
+from headway.store.run_folder import best_file
 from headway_launch.commands.main import run
 
 STARTED = "2026-01-02T03:04:05+00:00"

@@ -540,7 +540,7 @@ def test_a_report_of_several_studies_joins_their_environments(
     )
 
 
-def test_studies_with_a_cell_in_common_are_refused(keep_run: Keep, root: Path, refused: Refused) -> None:
+def test_studies_with_a_cell_in_common_are_refused(keep_run: Keep, root: Path) -> None:
     for study in ("study", "again"):
         keep_run((*TRACKING, "algo=ippo"), 0, 1.0, study=study)
     line = refused("report", "study", "again", "--store", str(root))
