@@ -36,6 +36,11 @@ def _no_actions(observed: Observations) -> NDArray[np.int64]:
     return np.full(observed.alive.shape, _KEEP, np.int64)
 
 
+def _is_green(state: str) -> bool:
+    """Return whether a state of a traffic light has green, and no yellow as between two phases."""
+    return "g" in state.lower() and "y" not in state.lower()
+
+
 @dataclass(frozen=True)
 class Humans:
     """SUMO drives all vehicles as humans, including the automated ones."""
@@ -134,14 +139,15 @@ class MaxPressure:
     doi:10.1016/j.trc.2013.08.014).
 
     A link that loses its green is yellow for as long as in the network's program. At junctions without a
-    light vehicles obey the right of way."""
+    light, or with one that is never green, vehicles obey the right of way."""
 
     def __init__(self, prepared: Prepared) -> None:
-        self._signals = prepared.network.signals
         self._greens = {
-            name: [state for _, state in signal.phases if "y" not in state.lower()]
-            for name, signal in self._signals.items()
+            name: greens
+            for name, signal in prepared.network.signals.items()
+            if (greens := [state for _, state in signal.phases if _is_green(state)])
         }
+        self._signals = {name: prepared.network.signals[name] for name in self._greens}
         self._shown: dict[str, str] = {}
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:

@@ -1,6 +1,7 @@
 """Traffic lights under the rules, and human drivers."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,19 @@ def test_max_pressure_shows_yellow_where_the_program_does(junctions: Open, grid:
     runs = "".join("y" if "y" in state else "-" for state in states).replace("-", " ").split()
     assert len(runs) > 2
     assert {len(run) for run in runs} == {round(yellow_s / 0.5)}
+
+
+@pytest.mark.parametrize(
+    ("states", "shown"), [(("rrrr", "GrGr", "rGrG"), {"GrGr", "rGrG"}), (("oooo", "yyyy"), {"OoOo"})]
+)
+def test_max_pressure_chooses_among_phases_with_green(
+    states: tuple[str, ...], shown: set[str], junctions: Open
+) -> None:
+    env = junctions(demand="700x700")
+    network = env.prepared.network
+    light = replace(network.signals["centre"], phases=tuple((5.0, state) for state in states))
+    env.prepared = replace(env.prepared, network=replace(network, signals={"centre": light}))
+    assert set(_states(env, "max_pressure", 200)) == shown
 
 
 @pytest.mark.parametrize("rule", ["signal", "signal_best", "max_pressure"])
