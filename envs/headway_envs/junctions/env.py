@@ -46,13 +46,13 @@ class JunctionsBatchedEnv:
         self.prepared = prepared
         network = prepared.network
         described = features(prepared.approaches, network.speed_limit)
-        lines = len(network.approaches)
+        approaches = len(network.approaches)
         self._spec = EnvSpec(
             name="junctions",
             agents=tuple(f"av_{slot}" for slot in range(config.slots)),
             observation_size=len(described),
             action_space=Discrete(len(ACCELERATIONS)),
-            state_size=kernel.STATE_PER_APPROACH * lines + 1,
+            state_size=kernel.STATE_PER_APPROACH * approaches + 1,
             shared_reward=True,
             agents_come_and_go=True,
             metrics=METRICS,
@@ -62,7 +62,7 @@ class JunctionsBatchedEnv:
         arrays = self._arrays = step_arrays(self._spec, 1)
         self._observed = Observations(arrays["observations"], arrays["states"], arrays["alive"])
         self._outcome = step_result(arrays)
-        self._first = np.zeros(lines, np.int64)
+        self._first = np.zeros(approaches, np.int64)
         self._traffic: Traffic | None = None
         self._seed, self._episode = 0, 0
         self.counters = EpisodeMetrics(config)
@@ -118,10 +118,8 @@ class JunctionsBatchedEnv:
         reward = changes.arrived - self.config.collision * changes.collided
         outcome.rewards.fill(reward)
         for slots, ended in ((changes.left, outcome.truncated), (changes.crashed, outcome.terminated)):
-            # An AV that collides in its first step has never acted.
-            gone = [slot for slot in slots if outcome.acting[0, slot]]
-            ended[0, gone] = True
-            outcome.final_observations[0, gone] = self._observed.observations[0, gone]
+            ended[0, list(slots)] = True
+            outcome.final_observations[0, list(slots)] = self._observed.observations[0, list(slots)]
         self.counters.count(changes, self.traffic, reward)
         self._observe()
         if self.counters.steps >= self.config.horizon:

@@ -16,7 +16,7 @@ from headway_envs.junctions.config import FOUR_WAY
 APPROACHES = ("north", "east", "south", "west")
 """Approaches of the packaged network, clockwise."""
 ROAD_M, SPEED_LIMIT, GREEN_S = 100.0, 13.0, 25.0
-NO_LINE = -1
+NO_APPROACH = -1
 """Number of the approach of a lane from which no junction is reached."""
 _FOLDER = Path(__file__).with_name("networks")
 
@@ -78,17 +78,17 @@ class Network:
 
     path: str
     lanes: Mapping[str, int]
-    """Row of each lane in `approach` and `line_distance`, lanes inside junctions included."""
+    """Row of each lane in `approach` and `approach_distance`, lanes inside junctions included."""
     approach: NDArray[np.int64]
-    """(L + 1,) approach that is reached next from a lane; NO_LINE: none, or it depends on the route."""
-    line_distance: NDArray[np.float64]
+    """(L + 1,) approach that is reached next from a lane; NO_APPROACH: none, or it depends on the route."""
+    approach_distance: NDArray[np.float64]
     """(L + 1,) distance from the start of a lane to the end of its approach, m. The last row of both arrays
     stands for an unknown lane."""
     approaches: tuple[str, ...]
     """(G,) lane of each approach."""
     others: NDArray[np.int64]
-    """(G, K - 1) other approaches of the same junction, clockwise from each; NO_LINE where it has fewer. K:
-    the most approaches of any junction."""
+    """(G, K - 1) other approaches of the same junction, clockwise from each; NO_APPROACH where it has fewer.
+    K: the most approaches of any junction."""
     speed_limit: float
     """Highest speed limit, m/s."""
     edges: frozenset[str]
@@ -124,13 +124,13 @@ class Network:
                 f"network {path} has no lanes inside its junctions; build it without netconvert's option "
                 "--no-internal-links"
             )
-        found = _next_lines(lanes, after, junctions)
+        found = _next_approaches(lanes, after, junctions)
         turns = {(way.edge, way.behind_edge) for way in ways}
         return cls(
             path=str(path),
             lanes={lane: row for row, lane in enumerate(lanes)},
-            approach=np.array([*(found[lane][0] for lane in lanes), NO_LINE]),
-            line_distance=np.array([*(found[lane][1] for lane in lanes), np.inf]),
+            approach=np.array([*(found[lane][0] for lane in lanes), NO_APPROACH]),
+            approach_distance=np.array([*(found[lane][1] for lane in lanes), np.inf]),
             approaches=approaches,
             others=_others(junctions),
             speed_limit=max(float(lane["speed"]) for lane in lanes.values()),
@@ -183,7 +183,7 @@ def _junctions(root: ElementTree.Element, leading_on: set[str]) -> list[list[str
     return found
 
 
-def _next_lines(
+def _next_approaches(
     lanes: Mapping[str, Mapping[str, str]], after: Mapping[str, set[str]], junctions: list[list[str]]
 ) -> dict[str, tuple[int, float]]:
     """Return the approach reached from each lane, and the distance from the lane's start to its end.
@@ -200,12 +200,12 @@ def _next_lines(
         # What remains are lanes in a circle without a junction.
         for lane in known or pending:
             number, distance = min(
-                (found.get(each, (NO_LINE, np.inf)) for each in after.get(lane, ())),
-                default=(NO_LINE, np.inf),
+                (found.get(each, (NO_APPROACH, np.inf)) for each in after.get(lane, ())),
+                default=(NO_APPROACH, np.inf),
             )
-            reached = {junction_of.get(found.get(each, (NO_LINE,))[0]) for each in after.get(lane, ())}
+            reached = {junction_of.get(found.get(each, (NO_APPROACH,))[0]) for each in after.get(lane, ())}
             one = number >= 0 and len(reached) == 1
-            found[lane] = (number, length[lane] + distance) if one else (NO_LINE, np.inf)
+            found[lane] = (number, length[lane] + distance) if one else (NO_APPROACH, np.inf)
         pending = [lane for lane in pending if lane not in found]
     return found
 
@@ -217,7 +217,7 @@ def _others(junctions: list[list[str]]) -> NDArray[np.int64]:
         count = len(lanes)
         for own in range(count):
             others = [first + (own + turn) % count for turn in range(1, count)]
-            rows.append(others + [NO_LINE] * (most - count))
+            rows.append(others + [NO_APPROACH] * (most - count))
         first += count
     return np.array(rows, np.int64)
 

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.junctions.config import JunctionsConfig
-from headway_envs.junctions.network import NO_LINE, Network
+from headway_envs.junctions.network import NO_APPROACH, Network
 from headway_envs.sumo_simulation import Simulation
 
 ACCELERATIONS = (-3.5, 0.0, 1.5)
 """Acceleration of each action, m/s^2."""
 SUMO_CONTROL = -1.0
 """Commanded speed that returns control of a vehicle to SUMO."""
-KEEP_LANE, CHANGE_LANES = 512, 1621
-"""SUMO's lane-change modes: none by itself, and those that routes need."""
+CHANGE_LANES = 1621
+"""SUMO's lane-change mode with the changes that routes need."""
 
 
 @dataclass
@@ -27,8 +27,8 @@ class Vehicle:
 
     slot: int
     """Slot of an AV; -1: driven by SUMO."""
-    approach: int = NO_LINE
-    """Approach that it drives on or reached last; NO_LINE: none."""
+    approach: int = NO_APPROACH
+    """Approach that it drives on or reached last; NO_APPROACH: none."""
     distance: float = 0.0
     """Distance to the end of the approach, m; below 0 past the last one."""
     speed: float = 0.0
@@ -115,8 +115,10 @@ class Traffic:
         # SUMO lists removed vehicles as arrived, too.
         for name in {*world.getArrivedIDList(), *collided}:
             vehicle = self.vehicles.pop(name, None)
+            if vehicle is None:  # collided where it entered, now or in the last step
+                continue
             changes.arrived += name not in collided
-            if vehicle is None or vehicle.slot < 0:
+            if vehicle.slot < 0:
                 continue
             freed.append(vehicle.slot)
             if name in collided:
@@ -124,7 +126,9 @@ class Traffic:
             else:
                 changes.left += (vehicle.slot,)
         for name in world.getDepartedIDList():
-            self._add(name, changes)
+            changes.entered += 1
+            if name not in collided:
+                self._add(name, changes)
         # Slots stay empty for a step, in which their vehicles' last observations are returned.
         for slot in freed:
             heapq.heappush(self._free, slot)
@@ -133,7 +137,6 @@ class Traffic:
         return changes
 
     def _add(self, name: str, changes: Changes) -> None:
-        changes.entered += 1
         slot = -1
         if self._automated(name):
             slot = heapq.heappop(self._free) if self._free else -1
@@ -159,17 +162,17 @@ class Traffic:
 
     def _read(self) -> None:
         ask, network, step_s = self._ask, self.network, self.config.step_s
-        row_of, approach, line_distance = network.lanes.get, network.approach, network.line_distance
+        row_of, approach, approach_distance = network.lanes.get, network.approach, network.approach_distance
         names = list(self.vehicles)
         rows = [row_of(lane, -1) for lane in map(ask.getLaneID, names)]
-        distances = (line_distance[rows] - np.fromiter(map(ask.getLanePosition, names), float)).tolist()
+        distances = (approach_distance[rows] - np.fromiter(map(ask.getLanePosition, names), float)).tolist()
         self.braking = []
         for vehicle, speed, number, distance in zip(
             self.vehicles.values(), map(ask.getSpeed, names), approach[rows].tolist(), distances, strict=True
         ):
             self.braking.append((vehicle.slot >= 0, (vehicle.speed - speed) / step_s))
             vehicle.speed = speed
-            if number == NO_LINE:
+            if number == NO_APPROACH:
                 # Past its last junction a vehicle keeps its place in the platoon.
                 vehicle.distance = min(vehicle.distance, 0.0) - speed * step_s - 1e-6
             else:

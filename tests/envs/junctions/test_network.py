@@ -11,7 +11,7 @@ import pytest
 
 from headway_envs.junctions.config import FOUR_WAY, JunctionsConfig
 from headway_envs.junctions.demand import routes_xml
-from headway_envs.junctions.network import NO_LINE, Network, build
+from headway_envs.junctions.network import NO_APPROACH, Network, build
 from headway_envs.sumo_simulation import libsumo
 
 Open = Callable[..., Any]
@@ -40,9 +40,9 @@ def test_the_packaged_network_has_four_approaches_clockwise() -> None:
     assert network.speed_limit == 13
     for number, name in enumerate(names):
         row = network.lanes[f"{name}_in_0"]
-        assert (network.approach[row], network.line_distance[row]) == (number, 100)
-        assert network.approach[network.lanes[f"{name}_out_0"]] == NO_LINE
-        assert network.approach[network.lanes[f":centre_{number}_0"]] == NO_LINE
+        assert (network.approach[row], network.approach_distance[row]) == (number, 100)
+        assert network.approach[network.lanes[f"{name}_out_0"]] == NO_APPROACH
+        assert network.approach[network.lanes[f":centre_{number}_0"]] == NO_APPROACH
     [signal] = network.signals.values()
     assert signal.off == "OoOo"
     assert signal.links[0] == ("north_in_0", "south_out_0")
@@ -104,6 +104,6 @@ def test_a_road_is_followed_through_a_bend(merge: tuple[Path, Path]) -> None:
     assert set(network.approaches) == {"main2_0", "side_0"}
     first, second = network.lanes["main1_0"], network.lanes["main2_0"]
     assert network.approach[first] == network.approach[second]
-    assert network.line_distance[first] > network.line_distance[second] + 40
-    assert network.approach[network.lanes["exit_0"]] == NO_LINE
+    assert network.approach_distance[first] > network.approach_distance[second] + 40
+    assert network.approach[network.lanes["exit_0"]] == NO_APPROACH
     assert not network.signals

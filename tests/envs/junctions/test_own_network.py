@@ -164,3 +164,27 @@ def test_a_trip_without_a_route_is_an_error_of_the_environment(junctions: Open, 
     env.reset(SEED)
     with pytest.raises(HeadwayError, match="SUMO stopped the episode: Vehicle 'a' has no valid route"):
         env.step(np.full((1, 96), 1))
+
+
+def test_vehicles_that_collide_where_they_enter_are_gone_and_have_not_left(
+    junctions: Open, merge: Files
+) -> None:
+    vehicle = '<vehicle id="{0}" route="join" depart="{0}" departPos="{1}" departSpeed="0" {2}/>'
+    unchecked = 'insertionChecks="none"'
+    vehicles = "".join(vehicle.format(*row, unchecked) for row in ((1, 30), (2, 31)))
+    route = '<route id="join" edges="side exit"/>'
+    merge[1].write_text(f"<routes>{route}{vehicles}</routes>", encoding="utf-8")
+    files = {"network": str(merge[0]), "demand": str(merge[1])}
+    env = junctions(**files, automated_share=1.0, slots=4, lead_in_s=0, warm_up_s=0, horizon=20)
+    env.reset(SEED)
+    paid, ended = [], 0
+    for _ in range(20):
+        outcome, _ = env.step(np.full((1, 4), 2))
+        paid.append(float(outcome.rewards[0, 0]))
+        ended += int(outcome.terminated.sum())
+    assert sorted(paid) == [-10.0] + [0.0] * 19
+    assert ended == 1  # the other has never acted
+    found = dict(zip(env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
+    assert (found["collided_vehicles"], found["outflow_vph"]) == (2, 0)
+    assert found["inflow_vph"] == 2 * 3600 / 10
+    assert 0 <= found["speed"] < 15
