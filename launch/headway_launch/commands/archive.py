@@ -109,7 +109,7 @@ def _needed(runs: "RunSelection") -> tuple[list["RunRow"], list[str]]:
         if is_file_id(env["id"]):
             files[f"env.id={env['id']}"] = None
         for key, value in flat({"env.args": env.get("args") or {}}):
-            if isinstance(value, str) and "/" in value and Path(value).exists():
+            if isinstance(value, str) and ({"/", "."} & set(value)) and Path(value).exists():
                 files[f"{key}={value}"] = None
     parents = [row for row in RunIndex(runs.root).rows() if row.run_id in started]
     lines = [f"not in the archive, and needed to train its runs again: {file}" for file in files]

@@ -39,7 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=int, metavar="N", help="number of runs to draw (default: 1)")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of the draw (default: 0)")
     parser.add_argument(
-        "--steps", metavar="N", help="only the first environment steps, rounded up to whole iterations"
+        "--steps",
+        type=int,
+        metavar="N",
+        help="only the first environment steps, rounded up to whole iterations",
     )
 
 
@@ -65,17 +68,21 @@ def execute(arguments: argparse.Namespace) -> int:
             )
     if named and (arguments.runs is not None or arguments.seed is not None):
         raise HeadwayError("--runs and --seed draw runs; omit them, or the names of runs")
-    if arguments.runs is not None and arguments.runs < 1:
-        raise HeadwayError(f"--runs {arguments.runs}: must be at least 1")
-    env_steps = None if arguments.steps is None else _steps(arguments.steps)
+    for option in ("runs", "steps"):
+        if (number := getattr(arguments, option)) is not None and number < 1:
+            raise HeadwayError(f"--{option} {number}: must be at least 1")
     with unpacked(Path(arguments.file)) as (root, manifest):
         rows = [row for row in RunIndex(root).rows(manifest["study"]) if row.status == "FINISHED"]
         if named:
             folders = {find_run(root, name).name for name in named}
             chosen = [row for row in rows if row.run_id in folders]
+            if others := sorted(folders - {row.run_id for row in chosen}):
+                raise HeadwayError(
+                    f"{others[0]} is no finished run of study {manifest['study']}, which the archive is of"
+                )
         else:
             chosen = drawn(rows, arguments.runs or 1, arguments.seed or 0)
-        verification = Verification(root, provenance(), overrides, env_steps)
+        verification = Verification(root, provenance(), overrides, arguments.steps)
         planned = [verification.plan(row, rows) for row in chosen]
         files = counted(len(manifest["files"]), "file")
         print_line(f"headway: {arguments.file}: {files}, all with the checksums of its manifest")
@@ -90,13 +97,3 @@ def execute(arguments: argparse.Namespace) -> int:
         whole=("run",),
     )
     return EXIT_EQUAL if all(verdict.equal for verdict in verdicts) else EXIT_DIFFERS
-
-
-def _steps(text: str) -> int:
-    try:
-        steps = int(text)
-    except ValueError as error:
-        raise HeadwayError(f"--steps {text}: give a whole number, such as 20_000") from error
-    if steps < 1:
-        raise HeadwayError(f"--steps {text}: must be at least 1")
-    return steps

@@ -70,7 +70,8 @@ class Verification:
     def plan(self, row: RunRow, rows: Sequence[RunRow]) -> "PlannedRun":
         """Plan to train a run again; `rows`: the finished runs of its study.
 
-        Raises HeadwayError if it cannot be trained, or has too few other seeds for the tolerance it needs.
+        Raises HeadwayError if it cannot be trained, or has too few other seeds or no evaluation for the
+        tolerance it needs.
         """
         run = StoredRun.read(self.root, Path(row.directory))
         job = self._job(run)
@@ -81,7 +82,15 @@ class Verification:
                 f"{row.run_id} may differ in its last digits ({'; '.join(reasons)}), and a tolerance needs "
                 "two seeds of its cell: verify it on a machine like that of the archive"
             )
-        return PlannedRun(run, job, seeds, reasons)
+        planned = PlannedRun(run, job, seeds, reasons)
+        # That of step 0 says nothing of the training.
+        first = min(filter(None, read_curve(run.directory, planned.metric)), default=0)
+        if reasons and planned.env_steps < first:
+            raise HeadwayError(
+                f"{row.run_id} may differ in its last digits ({'; '.join(reasons)}), and a tolerance needs "
+                f"an evaluation: give at least --steps {first}"
+            )
+        return planned
 
     def verify(self, planned: "PlannedRun", debug: bool) -> Verdict | None:
         """Train a run again and compare it; None if it was stopped by Ctrl-C.
@@ -110,8 +119,7 @@ class Verification:
             difference = f"{difference}; git.revision {revisions[0]} there, {revisions[1]} here"
         if not reasons:
             return Verdict(run_id, steps, found.values, False, difference)
-        metric = f"evaluation_{job.config.evaluation.modes[0]}/return"
-        equal, result = _within_spread(run.directory, again, planned.seeds, metric, steps)
+        equal, result = _within_spread(run.directory, again, planned.seeds, planned.metric, steps)
         return Verdict(run_id, steps, found.values, equal, f"{result}; {difference}")
 
     def _job(self, run: StoredRun) -> PlannedJob:
@@ -172,6 +180,11 @@ class PlannedRun:
     def iterations(self) -> int:
         """Iterations that are trained again."""
         return self.job.training.pause_after or self.job.config.iterations
+
+    @property
+    def metric(self) -> str:
+        """Metric of the curve to which the tolerance applies."""
+        return f"evaluation_{self.job.config.evaluation.modes[0]}/return"
 
     @property
     def env_steps(self) -> int:

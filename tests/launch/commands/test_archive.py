@@ -164,6 +164,17 @@ def test_elsewhere_a_lone_seed_cannot_be_judged(
     assert "a tolerance needs two seeds of its cell" in line
 
 
+def test_elsewhere_a_tolerance_needs_an_evaluation(
+    empty_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toy = ["experiment=toy_tracking", "study=late", "seed=0,1", "env_steps=3072", "energy=off"]
+    assert run(["run", *toy, "evaluation.every=2048"]) == 0
+    assert run(["archive", "late"]) == 0
+    elsewhere(monkeypatch)
+    assert "give at least --steps 2048" in refused("verify", "late.zip", "--steps", "1024")
+    assert run(["verify", "late.zip", "--steps", "2048"]) == 0
+
+
 def test_a_changed_byte_of_a_table_is_found(archive: Path) -> None:
     with zipfile.ZipFile(archive) as container:
         [member, *_] = [each for each in container.infolist() if "curve-" in each.filename]
@@ -183,6 +194,8 @@ def test_a_run_that_starts_from_another_is_archived_with_it(
     assert run([*toy, "study=child", "start.run=s0-2"]) == 0
     assert run(["archive", "child"]) == 0
     assert verified(capsys, "child.zip") == (0, ["equal bit for bit"])
+    parent = min(row.run_id for row in RunIndex(Path("runs")).rows("pair"))
+    assert f"{parent} is no finished run of study child" in refused("verify", "child.zip", parent)
 
 
 def test_files_that_it_does_not_hold_are_named_and_can_be_elsewhere_again(
@@ -198,6 +211,25 @@ def test_files_that_it_does_not_hold_are_named_and_can_be_elsewhere_again(
     Path("shuttle.py").rename("lab/shuttle.py")
     assert "there is no such file" in refused("verify", "file.zip")
     assert verified(capsys, "file.zip", "env.id=lab/shuttle.py") == (0, ["equal bit for bit"])
+
+
+def test_files_of_the_environment_are_named_in_any_folder(
+    trained: Path, empty_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(trained, "runs")
+    Path("my.net.xml").touch()
+    Path("lab").mkdir()
+    for row in RunIndex(Path("runs")).rows():
+        path = Path(row.directory, "config.yaml")
+        config = yaml.safe_load(path.read_text())
+        config["env"]["args"] = {"network": "my.net.xml", "scenario": "lab", "folder": "./lab", "kind": "a.b"}
+        path.write_text(yaml.safe_dump(config))
+    assert run(["archive", "pair"]) == 0
+    named = [line for line in capsys.readouterr().err.splitlines() if "needed to train" in line]
+    assert {line.rpartition(" ")[2] for line in named} == {
+        "env.args.network=my.net.xml",
+        "env.args.folder=./lab",
+    }
 
 
 @pytest.mark.parametrize(
