@@ -24,8 +24,8 @@ PUBLISHED: Mapping[str, tuple[float | None, ...]] = {
     "850x850": (3307.2, 3343.2, 3003.6, 1869.6),
     "850x1000": (3301.2, 3333.6, 3001.2, 2232.6),
 }
-"""Outflow, veh/h, by demand, of `CONTROLLERS`. None: not evaluated, or, of the two signals with 25 s of green
-for both roads, the one that has no file."""
+"""Outflow, veh/h, by demand, of `CONTROLLERS`. None: not published. Where the best greens are 25 s on both
+roads, the two signals are one controller, and its value is published under one of their names."""
 
 
 SHARES: Mapping[float, float | None] = {

@@ -133,7 +133,6 @@ def _readme(runs: "RunSelection", notices: Sequence[str], arguments: argparse.Na
         known = [reward for reward in rewards if reward is not None]
         mean = f"{fmean(known):.6g}" if len(known) == len(rewards) else ""
         cells.append(f"| {label} | {spans(seeds)} | {members[0].env_steps:,} | {mean} |")
-    file = shlex.quote(f"{arguments.study}.zip")
     lines = [
         f"# Study {arguments.study}",
         "",
@@ -144,11 +143,11 @@ def _readme(runs: "RunSelection", notices: Sequence[str], arguments: argparse.Na
         "|---|---|---|---|",
         *cells,
         "",
-        "With Headway:",
+        "With Headway, where FILE is the archive:",
         "",
-        f"    headway runs --archive {file}",
-        f"    headway report {shlex.quote(arguments.study)} --archive {file}",
-        f"    headway verify {file}    # checks it, trains a run again and compares the curves",
+        "    headway runs --archive FILE",
+        f"    headway report {shlex.quote(arguments.study)} --archive FILE",
+        "    headway verify FILE      # checks it, trains a run again and compares the curves",
         "",
         "Without: `runs/STUDY/RUN/` has `curve-*.parquet` (one row per iteration), `episodes-*.parquet` and",
         "`evaluation-*.parquet` (one row per episode), `energy.parquet`, `config.yaml` (all settings),",

@@ -7,18 +7,8 @@ import pandas as pd
 
 from headway.stats import frames
 from headway.wording import counted
-from headway_launch.report.elements import (
-    MISSING,
-    Part,
-    Section,
-    formatted,
-    with_deviation,
-    with_interval,
-)
-from headway_launch.report.reward_tables import (
-    against_cells,
-    exact_against,
-)
+from headway_launch.report.elements import MISSING, Part, Section, formatted, with_deviation, with_interval
+from headway_launch.report.reward_tables import against_cells, exact_against
 from headway_launch.report.study_data import DifferenceFromBest, StudyData
 from headway_launch.runner.comparison import difference
 from headway_launch.studies.runs import kept_episodes

@@ -249,27 +249,28 @@ def improvement_section(data: StudyData) -> Section:
 
 
 def _learner_pairs(data: StudyData) -> list[Part]:
-    """Return a table of the differences between learners, or the reason why there is none."""
-    if not data.learner_pairs:
-        return [
-            "The learners were not evaluated on common episodes of a last evaluation, so there are no paired "
-            "differences between them."
-        ]
-    return [
-        f"Learners differ if p (Holm) is below 5% with at least {SEEDS_FOR_A_CLAIM} seeds of both. The "
-        "number of seeds needed is for planning: it takes the observed difference, which few seeds estimate "
-        "badly, for the true one.",
-        *(
-            pairs_table(
-                found,
-                f"learner_pairs{data.file_suffix(data.tasks.index(task))}",
+    """Return a table per task of the differences between learners, or the reason why there is none."""
+    parts: list[Part] = []
+    if data.learner_pairs:
+        parts.append(
+            f"Learners differ if p (Holm) is below 5% with at least {SEEDS_FOR_A_CLAIM} seeds of both. The "
+            "number of seeds needed is for planning: it takes the observed difference, which few seeds "
+            "estimate badly, for the true one."
+        )
+    for place, task in enumerate(data.tasks):
+        if found := data.learner_pairs.get(task):
+            caption = (
                 f"Differences between learners{data.where(task)} in the last evaluation: "
                 f"{data.readable(data.column)}, paired by episode, with 95% intervals by Student's t over "
-                "the seeds of both and the episodes",
+                "the seeds of both and the episodes"
             )
-            for task, found in data.learner_pairs.items()
-        ),
-    ]
+            parts.append(pairs_table(found, f"learner_pairs{data.file_suffix(place)}", caption))
+        elif len(data.on(task)) > 1:
+            parts.append(
+                f"The learners were not evaluated on common episodes of a last evaluation{data.where(task)}, "
+                "so there are no paired differences between them."
+            )
+    return parts
 
 
 def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
@@ -312,6 +313,7 @@ def against_cells(data: StudyData, against: DifferenceFromBest, seeds: int | Non
 
 
 def exact_against(against: DifferenceFromBest) -> dict[str, float | str]:
+    """Return the values of `against_cells` with all digits, by column; none if they are unknown."""
     found = against.interval
     if found is None:
         return {}

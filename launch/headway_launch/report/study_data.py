@@ -396,7 +396,7 @@ class StudyData:
         if len(common) < 2:
             return []
         values = {name: episodes[common].to_numpy().tolist() for name, episodes in whole.items()}
-        return pair_rows(task, values, combinations(values, 2))
+        return pair_rows(self.column, values, combinations(values, 2))
 
     def _several_roots(self, task: str) -> bool:
         """Whether the evaluations of a task's runs had different episodes."""

@@ -1,4 +1,4 @@
-"""`headway archive` and `verify`: what is published can be read, checked and had again."""
+"""`headway archive` and `verify`: what is published can be read, checked and trained again."""
 
 import json
 import shutil
@@ -117,7 +117,9 @@ def test_policies_are_there_if_they_were_asked_for(archive: Path, trained: Path)
     assert "--keep writes into" in refused("render", "s0", "--keep", "--archive", str(archive))
 
 
-def test_runs_can_be_had_again(archive: Path, trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_are_trained_again_bit_for_bit(
+    archive: Path, trained: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = sorted(path for path in trained.rglob("*") if path.suffix != ".sqlite")
     code, results = verified(capsys, str(archive), "--runs", "2", *STEPS)
     assert (code, results) == (0, ["equal bit for bit"] * 2)
@@ -125,7 +127,7 @@ def test_runs_can_be_had_again(archive: Path, trained: Path, capsys: pytest.Capt
 
 
 @pytest.mark.slow
-def test_a_whole_run_can_be_had_again(archive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_whole_run_is_trained_again_bit_for_bit(archive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert verified(capsys, str(archive), "s1") == (0, ["equal bit for bit"])
 
 

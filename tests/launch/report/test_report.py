@@ -585,6 +585,11 @@ def test_different_evaluation_episodes_give_no_difference(keep_run: Keep, root: 
     told = text_of(made(root))
     assert line in told
     assert "not evaluated on common episodes of a last evaluation" in told
+    for algorithm in ("ippo", "ia2c"):
+        keep_run((*MATRIX, f"algo={algorithm}"), 0, 1.0)
+    report = made(root)
+    assert "Differences between learners on matrix" in text_of(report)
+    assert "on common episodes of a last evaluation on tracking, so" in text_of(report)
 
 
 def test_a_single_episode_gives_no_difference(keep_run: Keep, root: Path) -> None:

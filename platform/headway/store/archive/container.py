@@ -123,8 +123,9 @@ def _manifest(path: Path, container: zipfile.ZipFile) -> dict[str, Any]:
             f"{path} has version {manifest.get('version')} of the format, and this Headway reads version "
             f"{_VERSION}: install a newer Headway"
         )
-    files = manifest.get("files")
-    if not isinstance(files, dict) or not isinstance(manifest.get("study"), str):
+    study, files = manifest.get("study"), manifest.get("files")
+    values = [study, *files.values()] if isinstance(files, dict) else [None]
+    if not all(isinstance(value, str) for value in values):
         raise HeadwayError(f"{path} is damaged: its {MANIFEST} lacks the study or the files")
     for name in files:
         parts = PurePosixPath(name)

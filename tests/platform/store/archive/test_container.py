@@ -83,6 +83,7 @@ def manifest_with(**keys: object) -> Callable[[dict[str, bytes]], object]:
         (lambda members: members.update({MANIFEST: b"[]"}), "a zip file, but not an archive of Headway"),
         (manifest_with(version=2), "has version 2 of the format, and this Headway reads version 1: install"),
         (manifest_with(files=[]), "its manifest.json lacks the study or the files"),
+        (manifest_with(files={FILES[2][0]: []}), "its manifest.json lacks the study or the files"),
         (manifest_with(files={"../evil": ""}), "names '../evil', which is no path in it"),
         (manifest_with(files={"/evil": ""}), "names '/evil', which is no path in it"),
     ],
