@@ -124,8 +124,7 @@ def _manifest(path: Path, container: zipfile.ZipFile) -> dict[str, Any]:
             f"{_VERSION}: install a newer Headway"
         )
     study, files = manifest.get("study"), manifest.get("files")
-    values = [study, *files.values()] if isinstance(files, dict) else [None]
-    if not all(isinstance(value, str) for value in values):
+    if not isinstance(files, dict) or not all(isinstance(value, str) for value in (study, *files.values())):
         raise HeadwayError(f"{path} is damaged: its {MANIFEST} lacks the study or the files")
     for name in files:
         parts = PurePosixPath(name)
