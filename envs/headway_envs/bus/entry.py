@@ -39,7 +39,7 @@ ENTRY = EnvEntry(
     parallel_env=Lazy("headway_envs.bus.parallel:BusParallelEnv"),
     rules={
         "always_move": RuleEntry(
-            "leaves every stop and terminal at once, and never goes to the service centre",
+            "leaves every stop and terminal at once; never goes to the service centre unless control=holding",
             Lazy("headway_envs.bus.rules.holding:AlwaysMove"),
         ),
         "move_with_service": RuleEntry(
