@@ -234,17 +234,15 @@ class DisruptionConfig:
     def __post_init__(self) -> None:
         _require_above(0, surge=self.surge, slow=self.slow)
         require_at_least(0, late_s=self.late_s, breakdown_bus=self.breakdown_bus, late_bus=self.late_bus)
-        for key, without, on in (
-            ("surge_stops", "surge=1", self.surge != 1.0 or not self.surge_stops),
-            ("slow_stops", "slow=1", self.slow != 1.0 or not self.slow_stops),
-            (
-                "breakdown_bus",
-                "breakdown_hour=null",
-                self.breakdown_hour is not None or not self.breakdown_bus,
-            ),
-            ("late_bus", "late_s=0", self.late_s > 0.0 or not self.late_bus),
+        for off, on, keys in (
+            ("surge=1", self.surge != 1.0, ("surge_hour", "surge_stops")),
+            ("slow=1", self.slow != 1.0, ("slow_hour", "slow_stops")),
+            ("breakdown_hour=null", self.breakdown_hour is not None, ("breakdown_bus",)),
+            ("late_s=0", self.late_s > 0.0, ("late_bus",)),
         ):
-            require_key(on, key, f"means nothing with {without}; leave it out or set the other key")
+            for key in keys:
+                same = getattr(self, key) == getattr(type(self), key)
+                require_key(on or same, key, f"means nothing with {off}; leave it out or set the other key")
 
     @property
     def hours(self) -> dict[str, int]:

@@ -59,7 +59,9 @@ class RewardConfig:
 class BusPublishedConfig:
     """Buses that shuttle on fixed routes. Each has its own clock; passengers are not simulated."""
 
-    RENAMED: ClassVar[Mapping[str, str]] = {"agents_per_route": "nothing: each copy draws a route per bus"}
+    RENAMED: ClassVar[Mapping[str, str]] = {
+        "agents_per_route": "unnecessary: each copy draws a route per bus"
+    }
 
     scenario: str = "corridor"
     """Source of routes, link times, loads and boardings: `line`, `corridor`, `district`, `city`, or the path
