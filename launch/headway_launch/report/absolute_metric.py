@@ -5,6 +5,7 @@ from typing import Any
 
 import pandas as pd
 
+from headway.rollout.lookahead import is_lookahead
 from headway.stats import frames
 from headway.wording import counted
 from headway_launch.report.elements import MISSING, Part, Section, formatted, with_deviation, with_interval
@@ -21,24 +22,30 @@ def absolute_metric_section(data: StudyData) -> Section | None:
     rules: set[int] = set()
     notes: list[str] = []
     for task in data.tasks:
-        of_rules: dict[str, float] = {}
+        on_task = data.on(task)
+        kept = {name: kept_episodes(members, data.mode, [data.column]) for name, members in on_task.items()}
+        kept = {name: found for name, found in kept.items() if found[0]}
+        of_rules = {
+            rule: float(episodes[data.column].mean())
+            for _, of_rule in kept.values()
+            for rule, episodes in of_rule.items()
+        }
+        ranked = sorted(of_rules, key=lambda rule: -data.sign * of_rules[rule])
+        # The study itself may have no rules.
+        best = data.best_rules.get(task, next((rule for rule in ranked if not is_lookahead(rule)), ""))
         numbers: set[int] = set()
-        for controller, members in data.on(task).items():
-            runs, of_rule = kept_episodes(members, data.mode, [data.column])
-            if not runs:
-                continue
+        for controller, (runs, of_rule) in kept.items():
+            members = on_task[controller]
             learned = [episodes[data.column].tolist() for episodes in runs.values()]
-            played = {rule: episodes[data.column].tolist() for rule, episodes in of_rule.items()}
             if len(learned) < len(members):
                 seeds = counted(len(members), "seed")
                 notes.append(f"{controller}{data.where(task)}: {len(learned)} of its {seeds}")
             scores = pd.DataFrame({"controller": controller, "task": task, "score": map(fmean, learned)})
             [row] = frames.summary(scores).to_dict("records")
             found = {str(name): value for name, value in row.items()}
-            best, against = data.best_rules.get(task, ""), DifferenceFromBest(None, "no rule was run")
-            if best in played:
-                against = DifferenceFromBest(difference(learned, played[best]))
-            of_rules |= {rule: fmean(values) for rule, values in played.items()}
+            against = DifferenceFromBest(None, "no rule was run")
+            if best in of_rule:
+                against = DifferenceFromBest(difference(learned, of_rule[best][data.column].tolist()))
             numbers |= set(map(len, learned))
             rows.append(
                 [
@@ -48,9 +55,9 @@ def absolute_metric_section(data: StudyData) -> Section | None:
                 ]
             )
             exact.append({"environment": task, "controller": controller, **found, **exact_against(against)})
-        for rule in sorted(of_rules, key=lambda rule: -data.sign * of_rules[rule]):
+        for rule in ranked:
             rules.add(len(rows))
-            name, last = f"rule {rule}", "the best rule" if rule == data.best_rules.get(task) else MISSING
+            name, last = f"rule {rule}", "the best rule" if rule == best else MISSING
             cells = [name, MISSING, formatted(of_rules[rule]), MISSING, MISSING, MISSING, last]
             rows.append([task, *cells])
             exact.append({"environment": task, "controller": name, "mean": of_rules[rule]})

@@ -578,6 +578,19 @@ def test_the_absolute_metric_is_of_the_best_policies_on_new_episodes(keep_run: K
     assert not any(section.anchor == "absolute_metric" for section in made(root).sections)
 
 
+def test_the_absolute_metric_of_a_study_without_rules_is_beside_the_best_stored_rule(
+    keep_run: Keep, root: Path
+) -> None:
+    folder = keep_run((*TRACKING, "algo=ippo"), 0, 5.0)
+    values = {"random": 1.0, "optimal": 3.0, "lookahead": 9.0}
+    rules = {rule: [{"return": value + episode} for episode in range(3)] for rule, value in values.items()}
+    runs = {folder.name: {"iteration": 2, "episodes": [{"return": value} for value in (5.0, 6.5, 6.5)]}}
+    path = best_file(root, "study", RunRecord.read(folder).cell)
+    write_json(path, {"seed": 7, "mode": "greedy", "rules": rules, "runs": runs})
+    found = table(made(root), "absolute_metric").set_index("controller")
+    assert found.loc["ippo", "minus_best_rule"] == pytest.approx(6 - 4)
+
+
 def test_different_evaluation_episodes_give_no_difference(keep_run: Keep, root: Path) -> None:
     keep_run((*TRACKING, "algo=ippo"), 0, 1.0, rules=RULES)
     keep_run((*TRACKING, "algo=ia2c", "evaluation.seed=5"), 0, 1.0, rules=RULES)
