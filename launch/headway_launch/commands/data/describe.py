@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.data.choices import add_scenario_arguments, require_seed
+from headway_launch.commands.data.arguments import add_scenario_arguments, require_seed
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:

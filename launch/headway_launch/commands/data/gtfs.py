@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.data.choices import add_selection_arguments, names_of, selection_of
+from headway_launch.commands.data.arguments import add_selection_arguments, names_of, selection_of
 from headway_launch.commands.data.writing import add_output_arguments, check_output, write_scenario
 
 EXAMPLES = """\

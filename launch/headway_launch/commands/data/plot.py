@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from headway.wording import counted
-from headway_launch.commands.data.choices import add_scenario_arguments, day_type_of, require_seed
+from headway_launch.commands.data.arguments import add_scenario_arguments, day_type_of, require_seed
 from headway_launch.console.output_files import write_figure
 
 EXAMPLES = """\

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
 from headway.wording import counted
-from headway_launch.commands.data.choices import day_type_of
+from headway_launch.commands.data.arguments import day_type_of
 from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from headway_launch.commands.data.choices import add_selection_arguments, selection_of
+from headway_launch.commands.data.arguments import add_selection_arguments, selection_of
 from headway_launch.commands.data.writing import add_output_arguments, check_output, write_scenario
 
 EXAMPLES = """\

@@ -2,7 +2,7 @@
 
 import argparse
 
-from headway_launch.commands.data.choices import require_seed
+from headway_launch.commands.data.arguments import require_seed
 from headway_launch.commands.data.writing import add_output_arguments, check_output, write_scenario
 from headway_launch.console.progress_display import CountedProgress
 
