@@ -15,6 +15,20 @@ from headway.contracts import HeadwayError
 
 INSTALL = 'the environment needs SUMO, which is not installed: pip install "headway[sumo]"'
 
+COMMON_OPTIONS: Mapping[str, str] = {
+    "collision.check-junctions": "true",
+    "collision.mingap-factor": "0",  # physical overlap only
+    "collision.action": "remove",  # one report per crash; `warn` repeats it at every step
+    "time-to-teleport": "-1",
+    "emissions.volumetric-fuel": "true",
+    "no-step-log": "true",
+    "no-warnings": "true",
+    "duration-log.disable": "true",
+}
+"""SUMO's options in every environment."""
+SUMO_CONTROL = -1.0
+"""Commanded speed that returns control of a vehicle to SUMO."""
+
 _owner: "weakref.ref[Simulation] | None" = None
 
 

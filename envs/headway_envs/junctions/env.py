@@ -12,18 +12,7 @@ from headway_envs.junctions.observation import features
 from headway_envs.junctions.prepared import Prepared
 from headway_envs.junctions.traffic import ACCELERATIONS, Traffic
 from headway_envs.step_arrays import step_arrays, step_result
-from headway_envs.sumo_simulation import Simulation
-
-_OPTIONS = {
-    "collision.check-junctions": "true",
-    "collision.mingap-factor": "0",  # physical overlap only
-    "collision.action": "remove",
-    "time-to-teleport": "-1",
-    "emissions.volumetric-fuel": "true",
-    "no-step-log": "true",
-    "no-warnings": "true",
-    "duration-log.disable": "true",
-}
+from headway_envs.sumo_simulation import COMMON_OPTIONS, Simulation
 
 
 class JunctionsBatchedEnv:
@@ -80,7 +69,7 @@ class JunctionsBatchedEnv:
         """Vehicles and simulation, for rules and pictures; created at the first use."""
         if self._traffic is None:
             prepared, config = self.prepared, self.config
-            options = {**_OPTIONS, "step-length": str(config.step_s)}
+            options = {**COMMON_OPTIONS, "step-length": str(config.step_s)}
             if config.vph is not None:
                 options["max-depart-delay"] = str(config.step_s)
             simulation = Simulation(prepared.network.path, prepared.routes, options)

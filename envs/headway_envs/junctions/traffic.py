@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from headway_envs.junctions.config import JunctionsConfig
 from headway_envs.junctions.network import NO_APPROACH, Network
-from headway_envs.sumo_simulation import Simulation
+from headway_envs.sumo_simulation import SUMO_CONTROL, Simulation
 
 ACCELERATIONS = (-3.5, 0.0, 1.5)
 """Acceleration of each action, m/s^2."""
-SUMO_CONTROL = -1.0
-"""Commanded speed that returns control of a vehicle to SUMO."""
 CHANGE_LANES = 1621
 """SUMO's lane-change mode with the changes that routes need."""
 

@@ -23,11 +23,9 @@ from headway_envs.intersection.layout import (
 from headway_envs.intersection.network import APPROACHES, LINKS, ROAD_M, Network
 from headway_envs.intersection.sumo.human_drivers import next_speeds
 from headway_envs.intersection.sumo.roster import Roster
-from headway_envs.sumo_simulation import Simulation
+from headway_envs.sumo_simulation import SUMO_CONTROL, Simulation
 
 NO_LANE_CHANGES = 512
-_SUMO_CONTROL = -1.0
-"""Commanded speed that returns control of a vehicle to SUMO."""
 _AHEAD_M = 200.0
 _NO_VEHICLE = ("", 0.0)
 
@@ -107,7 +105,7 @@ class SumoBridge:
         self._handed_over = speed_mode
         for vehicle in self.roster.ids:
             self._set_modes(vehicle, automated=vehicle.startswith(AV))
-            self._vehicle.setSpeed(vehicle, _SUMO_CONTROL)
+            self._vehicle.setSpeed(vehicle, SUMO_CONTROL)
 
     def command(self, accelerations: NDArray[np.float32], acting: NDArray[np.bool_]) -> None:
         """Command the speeds of the next step.
@@ -260,7 +258,7 @@ class SumoBridge:
         for vehicle, target in zip(driven, targets.tolist(), strict=True):
             set_speed(vehicle, target)
         for row in (human & inside).nonzero()[0].tolist():
-            set_speed(ids[row], _SUMO_CONTROL)
+            set_speed(ids[row], SUMO_CONTROL)
 
     def place(self, row: int) -> tuple[float, float]:
         """Return the last known position of the front of the vehicle in roster row `row`.

@@ -10,18 +10,9 @@ from headway.contracts import generator
 from headway_envs.intersection.config import STEP_S, IntersectionConfig
 from headway_envs.intersection.demand import routes_xml
 from headway_envs.intersection.network import network_file
+from headway_envs.sumo_simulation import COMMON_OPTIONS
 
-OPTIONS = {
-    "step-length": str(STEP_S),
-    "collision.check-junctions": "true",
-    "collision.mingap-factor": "0",  # physical overlap only
-    "collision.action": "remove",  # one report per crash; `warn` repeats it at every step
-    "time-to-teleport": "-1",
-    "emissions.volumetric-fuel": "true",
-    "no-step-log": "true",
-    "no-warnings": "true",
-    "duration-log.disable": "true",
-}
+OPTIONS = {"step-length": str(STEP_S), **COMMON_OPTIONS}
 """SUMO's options besides network, routes and seed."""
 
 
