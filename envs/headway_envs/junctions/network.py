@@ -64,6 +64,8 @@ class Signal:
     """State in which vehicles obey the right of way of the junction alone."""
     phases: tuple[tuple[float, str], ...]
     """Duration, s, and state of each phase of its program."""
+    offset: float
+    """Time by which all phases are later than from the beginning of an episode, s."""
     links: tuple[tuple[str, str], ...]
     """Lane before and lane behind the junction of each link."""
 
@@ -226,7 +228,7 @@ def _signals(root: ElementTree.Element, ways: Sequence[_Way]) -> dict[str, Signa
     """Return the traffic lights with connections, each with its first program."""
     found: dict[str, Signal] = {}
     for logic in root.iter("tlLogic"):
-        name = logic.attrib["id"]
+        name, offset = logic.attrib["id"], float(logic.attrib.get("offset", 0))
         phases = [(float(phase.attrib["duration"]), phase.attrib["state"]) for phase in logic.iter("phase")]
         links = {way.link: way for way in ways if way.signal == name and way.link >= 0}
         if name in found or not links or not phases:
@@ -237,5 +239,5 @@ def _signals(root: ElementTree.Element, ways: Sequence[_Way]) -> dict[str, Signa
         lanes = [
             (links[link].before, links[link].behind) if link in links else ("", "") for link in range(size)
         ]
-        found[name] = Signal(off, tuple(phases), tuple(lanes))
+        found[name] = Signal(off, tuple(phases), offset, tuple(lanes))
     return found

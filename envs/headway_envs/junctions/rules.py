@@ -85,7 +85,7 @@ class FixedSignal:
         found = {}
         for name, signal in self._signals.items():
             ends = np.cumsum([length for length, _ in signal.phases])
-            place = env.steps_taken * env.config.step_s % ends[-1]
+            place = (env.steps_taken * env.config.step_s - signal.offset) % ends[-1]
             found[name] = signal.phases[int(np.searchsorted(ends, place, side="right"))][1]
         return found
 

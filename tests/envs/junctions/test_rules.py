@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from headway_envs.junctions.entry import ENTRY
-from headway_envs.sumo_simulation import libsumo
+from headway_envs.sumo_simulation import Simulation, libsumo
 
 Open = Callable[..., Any]
 SEED = np.array([3], np.uint64)
@@ -36,6 +36,24 @@ def test_signals_have_fixed_greens(rule: str, demand: str, greens: tuple[int, in
     vertical, horizontal = greens
     cycle = ["GrGr"] * 2 * vertical + ["rGrG"] * 2 * horizontal
     assert _states(junctions(demand=demand), rule, 200) == (cycle * 4)[:200]
+
+
+@pytest.mark.parametrize("offset", [0, 7, -3, 130])
+def test_fixed_signals_are_those_of_sumo(offset: int, junctions: Open, tmp_path: Path) -> None:
+    """The rule sets each state; SUMO runs the program of the network by itself."""
+    plain = junctions().prepared
+    text = Path(plain.network.path).read_text(encoding="utf-8")
+    network, demand = tmp_path / "lights.net.xml", tmp_path / "my.rou.xml"
+    network.write_text(text.replace('offset="0"', f'offset="{offset}"'), encoding="utf-8")
+    demand.write_text(plain.routes, encoding="utf-8")
+    by_itself, alone = [], Simulation(str(network), plain.routes, {"step-length": "0.5"})
+    alone.begin(1)
+    for _ in range(300):
+        alone.step()
+        by_itself.append(libsumo().trafficlight.getRedYellowGreenState("centre"))
+    alone.close()
+    env = junctions(network=str(network), demand=str(demand), lead_in_s=0)
+    assert _states(env, "signal", 300) == by_itself
 
 
 def test_lights_are_off_under_other_rules(junctions: Open) -> None:
