@@ -125,7 +125,7 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
     if arguments.fps is not None and not 0.1 <= arguments.fps <= 50.0:
         raise HeadwayError(f"--fps must lie between 0.1 and 50, not {arguments.fps:g}")
     if arguments.keep and arguments.archive is not None:
-        raise HeadwayError("--keep writes into the run's folder, which an archive has not; omit --keep")
+        raise HeadwayError("--keep writes into the run's folder, and an archive is only read; omit --keep")
     if arguments.keep and arguments.rule is not None:
         raise HeadwayError("--keep works for runs only; omit --keep or --rule")
     if arguments.keep and output.name != str(output):
