@@ -27,13 +27,15 @@ COLUMNS = {
     "demand.csv": ("BOARDING_STOP_STN", "ALIGHTING_STOP_STN", "Ride_Start_Time"),
 }
 """Columns that are read. Times are HH:MM:SS or YYYY-MM-DD HH:MM:SS, distances in km from the first stop."""
+_DAY_ENDS_S = 31 * 3600
+"""Latest time of a service day that has begun at midnight, s."""
 
 
 def import_transitgym(folder: Path) -> Tables:
     """Return the tables of the lines in `folder`, all of one weekday.
 
     A line without coordinates (all 0) lies on a straight road. Raises HeadwayError naming file, row and
-    column of a fault.
+    column of a fault, of the rewritten files if it is found there.
     """
     if not folder.is_dir():
         raise HeadwayError(f"FOLDER: {folder} is not a folder; give the one that holds {', '.join(COLUMNS)}")
@@ -52,7 +54,10 @@ def import_transitgym(folder: Path) -> Tables:
     with tempfile.TemporaryDirectory() as place:
         for name, frame in files.items():
             frame.to_csv(Path(place) / f"{name}.csv", index=False)
-        tables = import_csv(Path(place))
+        try:
+            tables = import_csv(Path(place))
+        except HeadwayError as error:
+            raise HeadwayError(f"{folder}, rewritten as CSV files of an operator: {error}") from error
     meta = dict(tables.meta)
     meta["source"] = f"TransitGym tables of {folder.resolve().name}"
     meta["licence"] = "that of the files"
@@ -218,6 +223,8 @@ def _demand(rides: pd.DataFrame, lines: pd.DataFrame, counted: Counter[str]) -> 
     A ride belongs to the first direction that reaches its destination after its origin.
     """
     seconds = _seconds("demand.csv", rides, "Ride_Start_Time")
+    late = seconds >= _DAY_ENDS_S
+    _refuse("demand.csv", rides, "Ride_Start_Time", late, "is of another day; give the rides of one day")
     blank = rides["ALIGHTING_STOP_STN"] == ""
     counted["rides without an alighting stop, left out"] += int(blank.sum())
     # Columns of numbers with gaps are written as 64461.0.

@@ -123,6 +123,18 @@ def test_times_after_midnight_continue(line: Path) -> None:
         ),
         ("trips.txt", "9153", "9999", None),
         ("demand.csv", "07:05:14", "soon", "demand.csv, row 2, column Ride_Start_Time"),
+        (
+            "demand.csv",
+            "01 07:35:20",
+            "02 07:35:20",
+            "demand.csv, row 4, column Ride_Start_Time: '1900-01-02 07:35:20' is of another day",
+        ),
+        (
+            "stop_times.txt",
+            "07:00:00",
+            "03:00:00",
+            "SG_43_1, rewritten as CSV files of an operator: link_times.csv, row 2, column mean_s: '14460.0'",
+        ),
     ],
 )
 def test_faults_are_one_line(line: Path, name: str, old: str, new: str, message: str | None) -> None:
