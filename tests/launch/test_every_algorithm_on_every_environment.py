@@ -70,7 +70,7 @@ SPREAD = {"N": 2, "max_cycles": 8}
 TASKS = {
     **{name: Task(name) for name in env_entries()},
     "bus": Task("bus", steps=30, groups=1),  # the first buses have left the depot and reached stops
-    "bus_published": Task("bus_published", {"scenario": "line"}, groups=1),
+    "bus_published": Task("bus_published", {"scenario": "line"}),
     # The first automated vehicles enter within 100 steps; a process holds one copy.
     "intersection": Task("intersection", {"slots": 5, "horizon": 100}, 110, seeds=(3,), copies=1, space=Box),
     "junctions": Task("junctions", {"slots": 20, "horizon": 40}, 30, seeds=(3,), copies=1),
