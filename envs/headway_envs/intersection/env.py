@@ -1,7 +1,7 @@
 """Batched intersection of one copy, the maximum per process."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,11 +158,11 @@ class IntersectionBatchedEnv:
         )
         return changes.crashes > 0
 
-    def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
+    def snapshot(self) -> Never:
         """Raise HeadwayError: a simulation state saved by SUMO does not continue exactly."""
         raise HeadwayError("the intersection has no snapshots; its episodes restart on resume")
 
-    def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
+    def restore(self, snapshot: object) -> Never:
         """Raise HeadwayError: there are no snapshots."""
         raise HeadwayError("the intersection has no snapshots; its episodes restart on resume")
 

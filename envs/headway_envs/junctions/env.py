@@ -1,6 +1,6 @@
 """Batched environment of one copy, the maximum per process."""
 
-from typing import Any
+from typing import Any, Never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,11 +115,11 @@ class JunctionsBatchedEnv:
             self._end()
         return outcome, self._observed
 
-    def snapshot(self) -> Any:  # noqa: ANN401 - the contract's type
+    def snapshot(self) -> Never:
         """Raise HeadwayError: a simulation state saved by SUMO does not continue exactly."""
         raise HeadwayError("the junctions have no snapshots; their episodes restart on resume")
 
-    def restore(self, snapshot: Any) -> Observations:  # noqa: ANN401 - the contract's type
+    def restore(self, snapshot: object) -> Never:
         """Raise HeadwayError: there are no snapshots."""
         raise HeadwayError("the junctions have no snapshots; their episodes restart on resume")
 

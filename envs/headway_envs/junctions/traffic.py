@@ -58,7 +58,7 @@ class Traffic:
         self.config, self.network, self.simulation = config, network, simulation
         self.vehicles: dict[str, Vehicle] = {}
         self.braking: list[tuple[bool, float]] = []
-        """Of each vehicle in the last step: whether it has a slot, and its deceleration, m/s^2."""
+        """Whether each vehicle has a slot, and its deceleration in the last step, m/s^2."""
         self._ask: Any = simulation.sumo.vehicle
         self._world: Any = simulation.sumo.simulation
         self._free: list[int] = []

@@ -22,7 +22,7 @@ def _identity(config: Any) -> Any:  # noqa: ANN401 - any record
     return config
 
 
-def _no_objection(*_: Any) -> None:  # noqa: ANN401 - any record
+def _no_objection(*_: object) -> None:
     return None
 
 

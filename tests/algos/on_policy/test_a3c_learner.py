@@ -56,7 +56,7 @@ def test_unused_slots_change_no_contribution(monkeypatch: pytest.MonkeyPatch, sp
 
 @pytest.mark.parametrize("spec", [DISCRETE, BOX])
 def test_fresh_gradients_take_the_steps_of_a2c(spec: EnvSpec) -> None:
-    """As of `ia2c`, which `test_against_naive` compares with plain networks."""
+    """The oracle is `ia2c`, which `test_against_naive` compares with plain networks."""
     learner = AsynchronousA2CLearner(NORMALISED["a3c"], spec, (SEED,), "cpu")
     worker = A2CContributor(NORMALISED["a3c"], spec, (SEED,))
     plain = OnPolicyLearner(NORMALISED["ia2c"], spec, (SEED,), "cpu")

@@ -21,7 +21,7 @@ BEFORE_8 = 3 * 60
 """Control intervals before 08:00."""
 
 
-def env_with(copies: int = 1, traced: bool = False, **disruptions: Any) -> BusBatchedEnv:  # noqa: ANN401
+def env_with(copies: int = 1, traced: bool = False, **disruptions: Any) -> BusBatchedEnv:  # noqa: ANN401 - keys of DisruptionConfig
     config = BusConfig(upkeep=SOUND, disruptions=DisruptionConfig(**disruptions))
     return begun(BusBatchedEnv(prepare(config), copies, traced))
 

@@ -144,7 +144,7 @@ def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         call.headways += 1
         call.headway += headway
         call.headway_squared += headway * headway
-        # Those who were left behind before have waited since, for this bus in vain.
+        # Passengers whom an earlier bus left behind have waited since then and missed this bus too.
         day.queueing += queue.denied * headway
     queue.last_departure = time
     departure = net.trip_departure[slot.trip]

@@ -2,7 +2,7 @@
 
 import json
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
@@ -120,10 +120,10 @@ def test_other_files_are_no_archives(tmp_path: Path) -> None:
 
 
 def test_a_failure_leaves_no_file(tmp_path: Path) -> None:
-    def failing() -> object:
+    def failing() -> Iterator[tuple[str, bytes]]:
         yield FILES[0]
         raise HeadwayError("damaged")
 
     with pytest.raises(HeadwayError, match="damaged"):
-        write_archive(tmp_path / "bus.zip", ABOUT, failing())  # type: ignore[arg-type]
+        write_archive(tmp_path / "bus.zip", ABOUT, failing())
     assert list(tmp_path.iterdir()) == []
