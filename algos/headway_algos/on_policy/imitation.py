@@ -11,6 +11,7 @@ from torch import Tensor
 from headway_algos.batches.layout import Layout
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig
+from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.updates.config import GradientUpdateConfig
 from headway_algos.on_policy.updates.gradient_update import GradientUpdate
@@ -34,19 +35,44 @@ def imitate(
     config: AlgoConfig,
     layout: Layout,
     generators: Sequence[np.random.Generator],
+    alike: Grouping,
 ) -> dict[str, Tensor]:
     """Raise the likelihood of the actions in `rows`, the decisions of many iterations.
 
-    The learning rate falls to 0 over the epochs. Returns metrics (P,) of the last one, NaN for policies
-    without rows. A Gaussian's spread is kept for exploration.
+    `alike` groups the K policies of a seed whose agents are interchangeable: one network learns from the
+    decisions of all policies of a group, and each of them becomes a copy of it. The learning rate falls to 0
+    over the epochs. Returns metrics by seed and group of the last one, NaN for groups without rows. A
+    Gaussian's spread is kept for exploration.
     """
-    learned, update = _update(actor, config, layout, 1, MINIBATCHES)
+    policies = alike.policies(
+        layout.replicas, layout.replicas
+    ).ravel()  # Group, of R x groups, of each policy.
+    first = np.unique(policies, return_index=True)[1]
+    learned, update = _update(actor, config, layout, first, 1, MINIBATCHES)
+    rows = _joined(rows, alike, layout.replicas)
     info: dict[str, Tensor] = {}
     for epoch in range(EPOCHS):
         update.anneal(1 - epoch / EPOCHS)
-        info = update.improve(rows, torch.ones_like(rows.log_probs), generators)
-    _take_over(actor, learned)
+        info = update.improve(rows, torch.ones_like(rows.log_probs), [generators[place] for place in first])
+    _take_over(actor, learned, policies)
     return info
+
+
+def _joined(rows: PolicyBatch, alike: Grouping, replicas: int) -> PolicyBatch:
+    """Return rows (R x K, B, ...) by group, (R x groups, G x B, ...)."""
+
+    def joined(column: Tensor) -> Tensor:
+        by_seed = column.reshape(replicas, -1, *column.shape[1:])[:, alike.members.ravel()]
+        return by_seed.reshape(replicas * alike.num_policies, -1, *column.shape[2:])
+
+    members = np.repeat(np.tile(alike.is_member, (replicas, 1)), rows.selected.shape[1], axis=1)
+    return PolicyBatch(
+        joined(rows.observations),
+        None if rows.masks is None else joined(rows.masks),
+        joined(rows.actions),
+        joined(rows.log_probs),
+        joined(torch.from_numpy(rows.selected)).numpy() & members,
+    )
 
 
 def imitate_sequences(
@@ -63,22 +89,27 @@ def imitate_sequences(
     factor on the learning rate, should fall from call to call: an iteration may contain only one part of an
     episode, and later iterations would overwrite what was learned from it.
     """
-    learned, update = _update(actor, config, layout, SEQUENCE_EPOCHS, SEQUENCE_MINIBATCHES)
+    policies = np.arange(layout.replicas * layout.grouping.num_policies)
+    learned, update = _update(actor, config, layout, policies, SEQUENCE_EPOCHS, SEQUENCE_MINIBATCHES)
     update.anneal(share)
     info = update.improve(rows, torch.ones_like(rows.log_probs), generators)
-    _take_over(actor, learned)
+    _take_over(actor, learned, policies)
     return info
 
 
 def _update(
-    actor: Actor, config: AlgoConfig, layout: Layout, epochs: int, minibatches: int
+    actor: Actor,
+    config: AlgoConfig,
+    layout: Layout,
+    policies: NDArray[np.int64],
+    epochs: int,
+    minibatches: int,
 ) -> tuple[Actor, GradientUpdate]:
-    """Return a copy of the actor and the update that trains it.
+    """Return a copy of some policies of the actor and the update that trains it.
 
     The actor itself is not trained because its parameters belong to the optimiser of the learner's update.
     """
-    policies = layout.replicas * layout.grouping.num_policies
-    learned = actor.narrow(torch.arange(policies, device=layout.device))
+    learned = actor.narrow(torch.from_numpy(policies).to(layout.device))
     settings = GradientUpdateConfig(
         model=config.model, lr=LR, grad_clip=None, piece_samples=config.piece_samples
     )
@@ -86,10 +117,11 @@ def _update(
     return learned, GradientUpdate(learned, settings, layout, A2CLoss(ENTROPY_COEFF), epochs, minibatches)
 
 
-def _take_over(actor: Actor, learned: Actor) -> None:
+def _take_over(actor: Actor, learned: Actor, places: NDArray[np.int64]) -> None:
+    """Copy to each policy the network `learned` at its place, `places` (P,)."""
     with torch.no_grad():
         for own, found in zip(actor.network.parameters(), learned.network.parameters(), strict=True):
-            own.copy_(found)
+            own.copy_(found[torch.from_numpy(places).to(found.device)])
 
 
 def decisions(rows: PolicyBatch, nvec: Sequence[int]) -> PolicyBatch:

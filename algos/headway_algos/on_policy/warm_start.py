@@ -17,6 +17,7 @@ from headway_algos.batches.nested_states import replica_state, same_shapes, trai
 from headway_algos.batches.old_policies import OldPolicies
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.config import AlgoConfig
+from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.imitation import decisions, imitate, imitate_sequences
 from headway_algos.on_policy.learner import OnPolicyLearner
@@ -40,6 +41,8 @@ class WarmStartLearner(OnPolicyLearner):
         """Arguments: see `OnPolicyLearner`."""
         super().__init__(config, spec, seeds, device, step_scale)
         self.rule_decisions = RuleDecisions(len(seeds), self.grouping.num_policies)
+        policies = np.arange(self.grouping.num_policies)[:, None]
+        self.alike = Grouping.of("groups", spec) if config.policies == "independent" else Grouping(policies)
         self.start_actor: Actor | None = None
         """Policies with which training started, while a penalty keeps the new ones near them."""
         self.kl_coeff, self.critic_only = 0.0, False
@@ -102,7 +105,7 @@ class WarmStartLearner(OnPolicyLearner):
         moments = self.actor.moments if self.config.normalise_observations else None
         sample = self.rule_decisions.rows(moments, self.device)
         self.rule_decisions = RuleDecisions(len(self.seeds), self.grouping.num_policies)
-        return imitate(self.actor, sample, *parts)
+        return imitate(self.actor, sample, *parts, self.alike)
 
     def replay_state(self) -> dict[str, Any] | None:
         """Return the rule's decisions that are kept for imitation; None if there are none."""

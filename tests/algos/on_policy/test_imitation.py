@@ -119,6 +119,26 @@ def test_one_iteration_is_enough_whatever_the_scale_of_observations() -> None:
         assert _agreement(iterations) > 0.95
 
 
+@pytest.mark.parametrize("groups", [(), ("left", "right")])
+def test_separate_policies_of_one_group_learn_from_the_decisions_of_all(groups: tuple[str, ...]) -> None:
+    """Each agent meets states on one side of a plane only, and is asked about those of the other side."""
+    spec = replace(SPEC, groups=groups)
+    learner = _learner("happo", spec, policies="independent", normalise_observations=False)
+    made = fabricate(spec, 128, 64, seed=1)
+    sides = np.array([1, -1])[:, None] * np.array([0.4, -0.3, 0.9])
+    for agent, side in enumerate(sides):
+        across = made.observations[:, :, agent] @ side < 0
+        made.observations[:, :, agent][across] *= -1
+    made.actions[:] = _rule_actions(spec, made.observations[:-1], made.action_masks)
+    learner.imitate(made, 1, 1)
+    asked = -made.observations[0]
+    policy = acting_policy(configure("happo", model=MODEL, policies="independent"), spec)
+    observed = Observations(asked, made.states[0], made.alive[0])
+    acted = policy.act(learner.acting_parameters(), observed, None)[0]
+    agreement = np.mean(acted == _rule_actions(spec, asked, made.action_masks))
+    assert agreement < 0.8 if groups else agreement > 0.95
+
+
 def test_steps_of_recurrent_policies_shrink_towards_the_end() -> None:
     """Steps of Adam are proportional to the learning rate."""
     moved = []
