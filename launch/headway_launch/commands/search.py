@@ -55,6 +55,11 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.show and not (database := SearchSession(parts, stored=False).database).is_file():
         raise HeadwayError(f"search {arguments.search} has not begun: there is no {database}")
     session = SearchSession(parts)
+    if arguments.show:
+        try:
+            session.require_settings()
+        except HeadwayError as error:
+            print_line(f"headway: {error}; costs cannot be shown")
     code = EXIT_DONE if arguments.show else session.run(arguments.debug)
     if code == EXIT_DONE:
         _print(session, arguments.search)
@@ -71,6 +76,7 @@ def _dry_run(parts: "Sequence[AlgorithmSearch]") -> int:
     ended = {part.label: 0 for part in parts}
     if session.database.is_file():
         begun = SearchSession(parts)
+        begun.require_settings()
         for part in parts:
             ended[part.label] = sum(each.trial.state != "RUNNING" for each in begun.candidates(part))
     return print_search_estimate(session, ended)

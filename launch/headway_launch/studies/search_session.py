@@ -74,12 +74,18 @@ class SearchSession:
         }
         self._experiments: dict[tuple[str, int], Experiment] = {}
 
+    def require_settings(self) -> None:
+        """Raise HeadwayError if the search has begun with other settings."""
+        for trials in self._trials.values():
+            trials.require_settings()
+
     def run(self, debug: bool = False) -> int:
         """Train all candidates that have not ended; return the exit code.
 
-        Raises HeadwayError if another session runs this search, if a run cannot be trained, and if all
-        candidates of a batch fail.
+        Raises HeadwayError if the search has begun with other settings, if another session runs it, if a run
+        cannot be trained, and if all candidates of a batch fail.
         """
+        self.require_settings()
         lock = self.database.with_suffix(".lock")
         # A session that was just killed holds its lock until it has ended.
         with locked(lock, _LOCK_SECONDS, "another session ran this search"):

@@ -49,17 +49,15 @@ class Trials:
     def __init__(self, part: AlgorithmSearch, path: Path | None) -> None:
         """`path`: database, created if missing; None: in memory.
 
-        Raises HeadwayError if Optuna is missing, and if the database cannot be read or holds a search with
-        other settings.
+        Raises HeadwayError if Optuna is missing, and if the database cannot be read.
         """
-        self._part, self._optuna = part, _optuna()
+        self._part, self._path, self._optuna = part, path, _optuna()
         self._study = self._open(path)
 
     def _open(self, path: Path | None) -> "Study":
         from sqlalchemy.exc import SQLAlchemyError
 
         optuna, part = self._optuna, self._part
-        now = json.loads(json.dumps(part.settings, default=str))
         if path is not None:
             make_folder(path.parent)
         try:
@@ -70,20 +68,23 @@ class Trials:
                 direction="minimize" if part.search.lower_is_better else "maximize",
                 load_if_exists=True,
             )
-            before = study.user_attrs.get(_SETTINGS)
-            if before is None:
-                study.set_user_attr(_SETTINGS, now)
+            if _SETTINGS not in study.user_attrs:
+                study.set_user_attr(_SETTINGS, _settings(part))
         except (SQLAlchemyError, RuntimeError, optuna.exceptions.OptunaError) as error:
             raise HeadwayError(
                 f"{path} cannot be used as Optuna's database ({shown(one_line(error))}); move it"
             ) from error
-        if before is not None and before != now:
+        return study
+
+    def require_settings(self) -> None:
+        """Raise HeadwayError if the search has begun with other settings."""
+        before, now = self._study.user_attrs[_SETTINGS], _settings(self._part)
+        if before != now:
             changed = next(key for key in {**now, **before} if before.get(key) != now.get(key))
             raise HeadwayError(
-                f"{part.label}: this search has begun with {changed}={shown(before.get(changed))}, not "
-                f"{shown(now.get(changed))} ({path}); restore it, or give the search another study=NAME"
+                f"{self._part.label}: this search has begun with {changed}={shown(before.get(changed))}, not "
+                f"{shown(now.get(changed))} ({self._path}); restore it, or give the search another study=NAME"
             )
-        return study
 
     def all(self) -> list[Trial]:
         """Return all candidates drawn so far, in order."""
@@ -153,6 +154,12 @@ class Trials:
         return distributions.FloatDistribution(
             dimension.low, dimension.high, log=dimension.log, step=dimension.step
         )
+
+
+def _settings(part: AlgorithmSearch) -> dict[str, object]:
+    """Return the settings as Optuna stores them."""
+    settings: dict[str, object] = json.loads(json.dumps(part.settings, default=str))
+    return settings
 
 
 def _optuna() -> ModuleType:

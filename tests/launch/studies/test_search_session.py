@@ -200,10 +200,10 @@ def test_an_experiment_that_was_edited_is_noticed(opened: Opened, tmp_path: Path
     file.write_text("env: trivial\nalgo: {gamma: 0.9}\n")
     opened("runs")
     file.write_text("# the same\nenv: trivial\nalgo: {gamma: 0.9}\n")
-    opened("runs", "store.checkpoint_every=7", "backend.parallel=1")
+    opened("runs", "store.checkpoint_every=7", "backend.parallel=1").require_settings()
     file.write_text("env: trivial\nalgo: {gamma: 0.8}\n")
     with pytest.raises(HeadwayError, match=r"ippo: this search has begun with algo\.gamma=0\.9, not 0\.8 "):
-        opened("runs")
+        opened("runs").require_settings()
 
 
 @pytest.mark.usefixtures("untrained")

@@ -85,7 +85,7 @@ def test_a_database_of_other_settings_is_refused_and_kept(tmp_path: Path) -> Non
     path = tmp_path / "one.db"
     before = Trials(part(), path).draw(4)
     with pytest.raises(HeadwayError, match="this search has begun with sampler='random', not 'tpe'"):
-        Trials(part(sampler="tpe"), path)
+        Trials(part(sampler="tpe"), path).require_settings()
     assert Trials(part(candidates=12), path).draw(12)[:4] == before
     bad = tmp_path / "bad.db"
     bad.write_text("no database")
