@@ -5,9 +5,7 @@ import csv
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
-from pathlib import Path
+from dataclasses import replace
 from statistics import fmean
 from typing import TYPE_CHECKING
 
@@ -30,23 +28,20 @@ from headway_launch.report.comparison_table import (
     PAIR_COLUMNS,
     RECORD_COLUMNS,
     Comparison,
-    ComparisonRow,
+    comparison_rows,
     comparison_table,
-    pair_rows,
-    pairs_note,
+    metric_values,
     pairs_table,
 )
 from headway_launch.report.elements import Table
 from headway_launch.report.latex_table import latex_table
 from headway_launch.report.markdown_page import markdown_table
+from headway_launch.studies.learner_pairs import pair_rows, pairs_note
 
 if TYPE_CHECKING:
     from headway.events import Row
-    from headway_launch.experiments.compose import Experiment
     from headway_launch.runner.stored_run import StoredRun
-
-_MAX_DIFFERENCES = 3
-"""Maximum number of differences between environments that an error lists."""
+    from headway_launch.studies.compared_learners import ComparedLearners
 
 EXAMPLES = """\
 examples:
@@ -110,21 +105,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Evaluate and print the table."""
-    from headway_launch.console.output import print_line
     from headway_launch.console.progress_display import CountedProgress
-    from headway_launch.experiments.start_line import start_line
     from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
-    from headway_launch.runner.comparison import (
-        EPISODES_FOR_A_CLAIM,
-        SEEDS_FOR_A_CLAIM,
-        counting,
-        few_episodes,
-        few_seeds,
-        gap_lines,
-        rule_episodes,
-        rules_to_play,
-    )
+    from headway_launch.runner.comparison import counting, rule_episodes, rules_to_play
     from headway_launch.runner.warm_up import compile_kernels
+    from headway_launch.studies.kept_episodes import keep_episodes, require_other_episodes
 
     if arguments.episodes < 2:
         raise HeadwayError(
@@ -140,7 +125,7 @@ def execute(arguments: argparse.Namespace) -> int:
     which = ", best policies" if arguments.best else ""
     experiment, cells = subject.experiment, {f"{label}{which}": runs for label, runs in subject.cells.items()}
     if arguments.keep:
-        _require_other_episodes(arguments.seed, cells)
+        require_other_episodes(arguments.seed, cells)
     found = experiment.prepare_environment()
     names = rules_to_play(found, arguments.rules)
     if not names:
@@ -168,7 +153,7 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.keep:
         for label, members in cells.items():
             iterations = [policy.iteration for policy in policies[label]]
-            _keep(members, iterations, played[label], rules, root, arguments.mode)
+            keep_episodes(members, iterations, played[label], rules, root, arguments.mode)
     mode = f", {arguments.mode}" if cells else ""
     by_return = sorted(rules, key=lambda rule: -_mean(rules[rule], "return"))
     comparison = Comparison(
@@ -176,55 +161,56 @@ def execute(arguments: argparse.Namespace) -> int:
         reference,
         {metric: readable_metric(metric, found.entry.metrics.get(metric, "")) for metric in metrics},
         [*played, *(f"rule {rule}" for rule in by_return)],
-        _rows(metrics, rules, played, reference),
+        comparison_rows(metrics, rules, played, reference),
         pair_rows(
             metrics[0],
-            {label: [_values(of_seed, metrics[0]) for of_seed in played[label]] for label in played},
+            {label: [metric_values(of_seed, metrics[0]) for of_seed in played[label]] for label in played},
             subject.pairs(which),
         ),
     )
     _FORMATS[arguments.format](comparison, typed_line(arguments))
+    _print_notes(cells, rules, played, arguments.mode)
+    return 0
+
+
+def _print_notes(
+    cells: Mapping[str, Sequence["StoredRun"]],
+    rules: Mapping[str, Sequence["Row"]],
+    played: Mapping[str, Sequence[Sequence["Row"]]],
+    mode: str,
+) -> None:
+    """Print what learners started from, gaps to `lookahead`, and what the numbers are too few for."""
+    from headway_launch.console.output import print_line
+    from headway_launch.experiments.start_line import start_line
+    from headway_launch.runner.comparison import (
+        EPISODES_FOR_A_CLAIM,
+        SEEDS_FOR_A_CLAIM,
+        few_episodes,
+        few_seeds,
+        gap_lines,
+    )
+
     for label, members in cells.items():
         folders = [run.directory for run in members]
-        return_metric = f"evaluation_{arguments.mode}/return"
+        return_metric = f"evaluation_{mode}/return"
         if line := start_line(label, members[0].store, folders, return_metric):
             print_line(line)
     returns = {label: fmean(_mean(of_seed, "return") for of_seed in played[label]) for label in played}
-    for line in gap_lines(returns, {rule: _values(rows, "return") for rule, rows in rules.items()}):
+    for line in gap_lines(returns, {rule: metric_values(rows, "return") for rule, rows in rules.items()}):
         print_line(line)
     fewest = min(map(len, cells.values()), default=SEEDS_FOR_A_CLAIM)
     if fewest < SEEDS_FOR_A_CLAIM:
         print_line(few_seeds(fewest))
+    episodes = len(next(iter(rules.values())))
     if episodes < EPISODES_FOR_A_CLAIM and len(rules) + len(played) > 1:
         print_line(few_episodes(episodes))
-    return 0
 
 
-@dataclass(frozen=True)
-class _Subject:
-    """Learners to compare, and their environment."""
-
-    name: str
-    experiment: "Experiment"
-    studies: Sequence[Mapping[str, list["StoredRun"]]]
-    """Per study, the runs of each learner by label; empty if only rules are compared."""
-
-    @property
-    def cells(self) -> Mapping[str, list["StoredRun"]]:
-        """Runs of each learner by label."""
-        return {label: members for study in self.studies for label, members in study.items()}
-
-    def pairs(self, suffix: str) -> list[tuple[str, str]]:
-        """Return the labels, with a suffix, of the pairs to compare: of different studies, if several."""
-        several = combinations(self.studies, 2)
-        found = [(a, b) for one, other in several for a in one for b in other] or combinations(self.cells, 2)
-        return [(f"{a}{suffix}", f"{b}{suffix}") for a, b in found]
-
-
-def _subject(arguments: argparse.Namespace) -> _Subject:
+def _subject(arguments: argparse.Namespace) -> "ComparedLearners":
     from headway_launch.experiments.compose import compose
     from headway_launch.experiments.options import options
     from headway_launch.experiments.override_words import require_each_key_once
+    from headway_launch.studies.compared_learners import ComparedLearners
 
     words: list[str] = arguments.study
     if "=" in words[0]:
@@ -232,15 +218,14 @@ def _subject(arguments: argparse.Namespace) -> _Subject:
         _require_for_rules(words)
         if arguments.best:
             raise HeadwayError("--best has no effect if rules are compared alone; omit it, or name a study")
-        return _Subject(" ".join(map(without_folders, words)), compose(words), ())
+        return ComparedLearners(" ".join(map(without_folders, words)), compose(words))
     if override := next((word for word in words if "=" in word), None):
         raise HeadwayError(
             f"{override!r}: a study is compared with its own configuration; omit this, "
             f"or omit {words[0]!r} to compare rules alone"
         )
     try:
-        named = named_studies(words, arguments.store)
-        found = [_cells(root, study, arguments.where) for root, study in named.values()]
+        learners = ComparedLearners.of(named_studies(words, arguments.store), arguments.where)
     except HeadwayError as error:
         known = options()
         for group in ("env", "experiment"):
@@ -248,14 +233,8 @@ def _subject(arguments: argparse.Namespace) -> _Subject:
                 hint = f"for rules alone: headway compare {group}={words[0]}"
                 raise HeadwayError(f"{error}; {hint}") from error
         raise
-    if len(found) > 1:
-        found = [
-            {f"{label} ({name})": members for label, members in cells.items()}
-            for name, cells in zip(named, found, strict=True)
-        ]
-    subject = _Subject(" and ".join(named), next(iter(found[0].values()))[0].experiment, found)
-    _require_one_environment(subject)
-    return subject
+    learners.require_one_environment()
+    return learners
 
 
 def _require_for_rules(words: Sequence[str]) -> None:
@@ -269,45 +248,6 @@ def _require_for_rules(words: Sequence[str]) -> None:
             )
     if not {"env", "experiment"} & set(keys):
         raise HeadwayError("no environment given; add env=ENV or experiment=EXPERIMENT")
-
-
-def _cells(root: Path, study: str, where: Sequence[str]) -> Mapping[str, list["StoredRun"]]:
-    """Return the finished runs of a study for which `where` holds, by label.
-
-    Raises HeadwayError if there are none.
-    """
-    from headway.store.cell_names import labelled_cells
-    from headway_launch.runner.stored_run import StoredRun
-    from headway_launch.studies.runs import finished_runs
-
-    runs = finished_runs(root, study, where)
-    return {
-        label: [StoredRun.read(root, Path(row.directory)) for row in members]
-        for label, members in labelled_cells(runs.rows, runs.beside).items()
-    }
-
-
-def _require_one_environment(subject: _Subject) -> None:
-    """Raise HeadwayError if the evaluation environments of the learners differ."""
-    environments = [members[0].experiment.evaluated_env for members in subject.cells.values()]
-    if differing := _differing(environments):
-        more = "; ..." if len(differing) > _MAX_DIFFERENCES else ""
-        shown = "; ".join(f"{key} ({values})" for key, values in list(differing.items())[:_MAX_DIFFERENCES])
-        have = "study {} holds" if len(subject.studies) == 1 else "studies {} hold"
-        raise HeadwayError(
-            f"{have.format(subject.name)} several environments, which differ in {shown}{more}: choose one, "
-            f"such as --where '{next(iter(differing))}=...'; `headway report` compares over environments"
-        )
-
-
-def _differing(environments: Sequence[Mapping[str, object]]) -> dict[str, str]:
-    """Return the values of each key in which evaluation environments differ."""
-    from headway_launch.experiments.parameters import flat
-
-    settings = [dict(flat({"env": environment})) for environment in environments]
-    keys = dict.fromkeys(key for each in settings for key in each)
-    values = {key: list(dict.fromkeys(str(each.get(key)) for each in settings)) for key in keys}
-    return {key: ", ".join(found) for key, found in values.items() if len(found) > 1}
 
 
 def _metrics(names: str, known: Sequence[str]) -> tuple[str, ...]:
@@ -325,74 +265,8 @@ def _best(rules: Mapping[str, Sequence["Row"]]) -> str:
     return max(rules, key=lambda rule: (not is_lookahead(rule), _mean(rules[rule], "return")))
 
 
-def _values(episodes: Sequence["Row"], metric: str) -> list[float]:
-    return [float(row[metric]) for row in episodes]
-
-
 def _mean(episodes: Sequence["Row"], metric: str) -> float:
-    return fmean(_values(episodes, metric))
-
-
-def _rows(
-    metrics: Sequence[str],
-    rules: Mapping[str, Sequence["Row"]],
-    learned: Mapping[str, Sequence[Sequence["Row"]]],
-    reference: str,
-) -> list[ComparisonRow]:
-    """Return the rows of a comparison. `rules`: episodes of each; `learned`: seeds x episodes of each."""
-    from headway_launch.runner.comparison import difference
-
-    controllers = {**{f"rule {rule}": [episodes] for rule, episodes in rules.items()}, **learned}
-    rows = []
-    for metric in metrics:
-        of_reference = _values(rules[reference], metric)
-        for name, by_seed in controllers.items():
-            values = [_values(of_seed, metric) for of_seed in by_seed]
-            row = ComparisonRow(
-                metric, name, len(values) if name in learned else None, fmean(map(fmean, values))
-            )
-            if name != f"rule {reference}":
-                found = difference(values, of_reference)
-                row = row._replace(
-                    difference=found.estimate, low=found.low, high=found.high, interval=found.method
-                )
-            rows.append(row)
-    return rows
-
-
-def _require_other_episodes(root: int, cells: Mapping[str, Sequence["StoredRun"]]) -> None:
-    """Raise HeadwayError if episodes of this root selected the best policies of a learner."""
-    for label, members in cells.items():
-        if members[0].experiment.config.evaluation.seed == root:
-            raise HeadwayError(
-                f"--keep: the episodes of --seed {root} selected the policies of {label}, on which their "
-                "return is too high; give another --seed"
-            )
-
-
-def _keep(
-    members: Sequence["StoredRun"],
-    iterations: Sequence[int],
-    played: Sequence[Sequence["Row"]],
-    rules: Mapping[str, Sequence["Row"]],
-    root: int,
-    mode: str,
-) -> None:
-    """Store the episodes of a learner's best policies and of the rules beside its runs."""
-    from headway.store.atomic_files import write_json
-    from headway.store.run_folder import best_file
-    from headway_launch.console.output_files import write_error
-
-    record = members[0].record
-    path = best_file(members[0].store, record.study, record.cell)
-    runs = {
-        run.record.run_id: {"iteration": iteration, "episodes": list(episodes)}
-        for run, iteration, episodes in zip(members, iterations, played, strict=True)
-    }
-    try:
-        write_json(path, {"seed": root, "mode": mode, "rules": dict(rules), "runs": runs})
-    except OSError as error:
-        raise write_error("--keep", path, error) from error
+    return fmean(metric_values(episodes, metric))
 
 
 def _print_tables(found: Comparison, line: str) -> None:

@@ -186,8 +186,10 @@ def _write_marl_eval(runs: "RunSelection", folder: Path) -> None:
     evaluations, which marl-eval cannot read.
     """
     from headway.events import LABELS
+    from headway.store.cell_names import labelled_cells
     from headway.store.query import LABELS as RUN_LABELS
-    from headway_launch.studies.runs import common_mode, configuration, kept_episodes
+    from headway_launch.studies.kept_episodes import kept_episodes
+    from headway_launch.studies.runs import common_mode, configuration
 
     mode = common_mode(runs)
     played = runs.evaluations(mode=mode).sort_values(["env_steps", "episode_seed"])
@@ -198,8 +200,8 @@ def _write_marl_eval(runs: "RunSelection", folder: Path) -> None:
         return {name.replace("_", " ").lower(): rows[name].astype(float).tolist() for name in metrics}
 
     absolute: dict[str, pd.DataFrame] = {}
-    for row in runs.rows:
-        absolute |= kept_episodes([row], mode, metrics)[0]
+    for members in labelled_cells(runs.rows, runs.beside).values():
+        absolute |= kept_episodes(members, mode, metrics)[0]
     if len(absolute) < len(runs.rows):
         absolute = {
             row.run_id: played[(played["run_id"] == row.run_id) & (played["final"] == 1)] for row in runs.rows

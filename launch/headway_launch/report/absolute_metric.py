@@ -8,11 +8,19 @@ import pandas as pd
 from headway.rollout.lookahead import is_lookahead
 from headway.stats import frames
 from headway.wording import counted
-from headway_launch.report.elements import MISSING, Part, Section, formatted, with_deviation, with_interval
+from headway_launch.report.elements import (
+    MISSING,
+    Part,
+    Section,
+    formatted,
+    table_by_task,
+    with_deviation,
+    with_interval,
+)
 from headway_launch.report.reward_tables import against_cells, exact_against
 from headway_launch.report.study_data import DifferenceFromBest, StudyData
 from headway_launch.runner.comparison import difference
-from headway_launch.studies.runs import kept_episodes
+from headway_launch.studies.kept_episodes import kept_episodes
 
 
 def absolute_metric_section(data: StudyData) -> Section | None:
@@ -67,7 +75,8 @@ def absolute_metric_section(data: StudyData) -> Section | None:
     if not rows:
         return None
     name = data.metric_with_unit
-    table = data.table_by_task(
+    table = table_by_task(
+        data.tasks,
         "absolute_metric",
         f"Absolute metric: {name} of each seed's best policy on other episodes than those that selected it. "
         "Mean ± standard deviation over seeds (ddof = 1); interquartile mean (IQM) over seeds with its 95% "

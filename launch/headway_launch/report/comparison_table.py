@@ -3,12 +3,16 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from statistics import fmean
+from typing import TYPE_CHECKING, NamedTuple
 
-from headway.stats.pairs import MOST_SEEDS, POWER, LearnerDifference, holm
-from headway.stats.samples import CONFIDENCE
 from headway_launch.console.tables import Value
 from headway_launch.report.elements import MISSING, Table, formatted, with_interval
+from headway_launch.runner.comparison import difference
+from headway_launch.studies.learner_pairs import PairRow, pairs_note
+
+if TYPE_CHECKING:
+    from headway.events import Row
 
 PAIR_COLUMNS = (
     *("metric", "learner", "minus learner", "difference", "95% low", "95% high"),
@@ -35,61 +39,34 @@ class ComparisonRow(NamedTuple):
     """Kind of the 95% interval of the difference, from `low` to `high`."""
 
 
-class PairRow(NamedTuple):
-    """One metric of two learners on the same episodes."""
-
-    metric: str
-    a: str
-    b: str
-    found: LearnerDifference
-    """a minus b."""
-    corrected_p: float
-    """Its p-value, corrected by Holm for the number of pairs."""
-    seeds_needed: float
-    """See `LearnerDifference.seeds_needed`, with the significance of one of as many tests as pairs."""
-
-    @property
-    def p_texts(self) -> tuple[str, str]:
-        """The p-value and the corrected one."""
-        return p_text(self.found.p_value), p_text(self.corrected_p)
-
-    @property
-    def needed(self) -> int | str | None:
-        """The number of seeds needed; None if it is unknown."""
-        if math.isnan(self.seeds_needed):
-            return None
-        return f">{MOST_SEEDS:,}" if math.isinf(self.seeds_needed) else int(self.seeds_needed)
-
-
-def pair_rows(
-    metric: str,
-    learners: Mapping[str, Sequence[Sequence[float]]],
-    pairs: Iterable[tuple[str, str]],
-) -> list[PairRow]:
-    """Compare pairs of `learners`, each with its values of a metric (seeds x episodes); the pairs are one
-    family of hypotheses."""
-    found = {(a, b): LearnerDifference.of(learners[a], learners[b]) for a, b in pairs}
-    corrected = holm([each.p_value for each in found.values()])
-    significance = (1 - CONFIDENCE) / max(len(found), 1)
-    return [
-        PairRow(metric, *pair, each, float(p_value), each.seeds_needed(significance))
-        for (pair, each), p_value in zip(found.items(), corrected, strict=True)
-    ]
+def comparison_rows(
+    metrics: Sequence[str],
+    rules: Mapping[str, Sequence["Row"]],
+    learned: Mapping[str, Sequence[Sequence["Row"]]],
+    reference: str,
+) -> list[ComparisonRow]:
+    """Return the rows of a comparison. `rules`: episodes of each; `learned`: seeds x episodes of each."""
+    controllers = {**{f"rule {rule}": [episodes] for rule, episodes in rules.items()}, **learned}
+    rows = []
+    for metric in metrics:
+        of_reference = metric_values(rules[reference], metric)
+        for name, by_seed in controllers.items():
+            values = [metric_values(of_seed, metric) for of_seed in by_seed]
+            row = ComparisonRow(
+                metric, name, len(values) if name in learned else None, fmean(map(fmean, values))
+            )
+            if name != f"rule {reference}":
+                found = difference(values, of_reference)
+                row = row._replace(
+                    difference=found.estimate, low=found.low, high=found.high, interval=found.method
+                )
+            rows.append(row)
+    return rows
 
 
-def p_text(value: float) -> str:
-    """Return a p-value with three decimals."""
-    return "<0.001" if value < 0.001 else f"{value:.3f}"
-
-
-def pairs_note(pairs: Sequence[PairRow]) -> str:
-    """Explain the columns of a table of pairs, which played the same episodes."""
-    family = f"corrected by Holm for {len(pairs)} pairs" if len(pairs) > 1 else "of a single pair"
-    return (
-        f"p (Holm): {family}. Seeds needed: seeds per learner with which a corrected p below "
-        f"{1 - CONFIDENCE:.0%} has a probability of {POWER:.0%} with {pairs[0].found.episodes} episodes, if "
-        "the true difference and variances are the observed ones"
-    )
+def metric_values(episodes: Sequence["Row"], metric: str) -> list[float]:
+    """Return a metric of each episode."""
+    return [float(row[metric]) for row in episodes]
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from headway_launch.report.elements import (
     Section,
     formatted,
     scale_of,
+    table_by_task,
     with_deviation,
 )
 from headway_launch.report.study_data import StudyData
@@ -67,7 +68,8 @@ def energy_section(data: StudyData) -> Section:
         without = int((~known).sum())
         body.append(f"{counted(without, 'run')} had no measurement and are excluded from these means.")
     body.append(
-        data.table_by_task(
+        table_by_task(
+            data.tasks,
             "energy",
             f"{title} and CPU seconds per run, mean ± standard deviation over seeds, and totals over all "
             "seeds.",

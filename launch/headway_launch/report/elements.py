@@ -46,6 +46,26 @@ class Table:
         return self.data
 
 
+def table_by_task(
+    tasks: Sequence[str],
+    name: str,
+    caption: str,
+    headings: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    data: "pd.DataFrame",
+    words: Sequence[int] = (),
+    emphasised: frozenset[int] = frozenset(),
+) -> Table:
+    """Return a `Table` of rows that begin with their task and controller; `words`: other columns of text.
+
+    If the study has only one of `tasks`, its column is left out; `headings` are those of the other columns.
+    """
+    left_out = int(len(tasks) == 1)
+    of_text = frozenset(column - left_out for column in (left_out, 1, *words))
+    headings = ["environment", *headings][left_out:]
+    return Table(name, caption, headings, [row[left_out:] for row in rows], data, of_text, emphasised)
+
+
 @dataclass(frozen=True)
 class Picture:
     """A picture with its caption."""

@@ -7,7 +7,6 @@ import pandas as pd
 from headway.stats import frames, plots, ranks
 from headway.stats.samples import CONFIDENCE
 from headway.wording import counted
-from headway_launch.report.comparison_table import p_text
 from headway_launch.report.elements import (
     Part,
     Picture,
@@ -18,6 +17,7 @@ from headway_launch.report.elements import (
     with_interval,
 )
 from headway_launch.report.study_data import StudyData
+from headway_launch.studies.learner_pairs import p_text
 from headway_launch.studies.runs import rule_phases
 
 _SIGNIFICANCE = 1 - CONFIDENCE

@@ -18,6 +18,7 @@ from headway_launch.report.elements import (
     Section,
     Table,
     formatted,
+    table_by_task,
     with_deviation,
     with_interval,
 )
@@ -49,7 +50,8 @@ def final_reward_section(data: StudyData) -> Section:
     for name in _curves(data):
         label = "reward" if name == "training" else data.metric_with_unit
         headings += [f"{name}: final {label}", f"{name}: AUC, own range", f"{name}: AUC, study's range"]
-    table = data.table_by_task(
+    table = table_by_task(
+        data.tasks,
         "final_rewards",
         f"Final {data.metric_label} and AUC: mean ± standard deviation over seeds (ddof = 1), as in most "
         "papers' tables.",
@@ -202,7 +204,8 @@ def _interquartile_table(data: StudyData) -> Table:
             of_rule = {"environment": task, "controller": f"rule {rule}", "last_evaluation": mean}
             exact.append({**of_rule, **exact_against(against)})
     names = ["controller", "seeds", f"IQM of final {data.metric_with_unit} [95%]", "last evaluation"]
-    return data.table_by_task(
+    return table_by_task(
+        data.tasks,
         "interquartile_means",
         f"Interquartile mean (IQM) of the final {data.metric_label} with its 95% interval by the "
         f"stratified bootstrap over seeds, evaluated on {_evaluation_episodes(data)}; mean over all "
@@ -352,7 +355,8 @@ def _starts(data: StudyData) -> list[Part]:
     if not rows:
         return notes
     column = data.readable(data.column)
-    table = data.table_by_task(
+    table = table_by_task(
+        data.tasks,
         "starts",
         "Controllers that started from a rule, which acted in the first steps of each run: mean of the "
         "policies that imitated it, at the end of these steps, and of the rule, on the curve's episodes.",

@@ -5,7 +5,7 @@ from typing import Any
 import pandas as pd
 
 from headway.wording import spans
-from headway_launch.report.elements import MISSING, Part, Section
+from headway_launch.report.elements import MISSING, Part, Section, table_by_task
 from headway_launch.report.study_data import StudyData
 
 
@@ -38,7 +38,7 @@ def setup_section(data: StudyData) -> Section:
         ]
     caption = "What was trained; the command lines are under Provenance."
     headings = ["controller", "policies", "preset", "seeds", "environment steps per seed"]
-    table = data.table_by_task("setup", caption, headings, rows, pd.DataFrame(exact), words=(2, 3, 4))
+    table = table_by_task(data.tasks, "setup", caption, headings, rows, pd.DataFrame(exact), words=(2, 3, 4))
     body: list[Part] = [table, *(_evaluation(data, task) for task in data.tasks)]
     return Section("setup", "Setup", body)
 

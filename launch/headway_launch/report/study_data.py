@@ -20,9 +20,8 @@ from headway.store.query import LABELS as RUN_LABELS
 from headway.store.query import RunSelection
 from headway.wording import counted, readable_metric
 from headway_launch.experiments.parameters import flat
-from headway_launch.report.comparison_table import PairRow, pair_rows
-from headway_launch.report.elements import Table
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference, gap_lines
+from headway_launch.studies.learner_pairs import PairRow, pair_rows
 from headway_launch.studies.runs import (
     common_mode,
     configuration,
@@ -288,25 +287,6 @@ class StudyData:
             return []
         means = of_task.groupby("rule")[self.column].mean() * self.sign
         return sorted(map(str, means.sort_values(ascending=False).index), key=is_lookahead)
-
-    def table_by_task(
-        self,
-        name: str,
-        caption: str,
-        headings: Sequence[str],
-        rows: Sequence[Sequence[str]],
-        data: pd.DataFrame,
-        words: Sequence[int] = (),
-        emphasised: frozenset[int] = frozenset(),
-    ) -> Table:
-        """Return a `Table` of rows that begin with their task and controller; `words`: other columns of text.
-
-        If the study has only one task, its column is left out; `headings` are those of the other columns.
-        """
-        left_out = int(len(self.tasks) == 1)
-        of_text = frozenset(column - left_out for column in (left_out, 1, *words))
-        headings = ["environment", *headings][left_out:]
-        return Table(name, caption, headings, [row[left_out:] for row in rows], data, of_text, emphasised)
 
     def file_suffix(self, place: int) -> str:
         """Return the suffix of a file name if there is one file per task, such as `_1`."""

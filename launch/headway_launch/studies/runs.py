@@ -149,39 +149,6 @@ def rules_beside(runs: "RunSelection", metric: str) -> dict[str, dict[str, float
     return means
 
 
-def kept_episodes(
-    members: Sequence["RunRow"], mode: str, columns: Sequence[str]
-) -> tuple[dict[str, "pd.DataFrame"], dict[str, "pd.DataFrame"]]:
-    """Return the episodes that `headway compare --best --keep` stored, with one row each.
-
-    The first mapping holds those of the best policies of `members`, runs of one cell, by `run_id`; the second
-    those of the rules. Both are empty if none of this mode are stored. Raises HeadwayError for a damaged
-    file, and if a metric of `columns` is missing.
-    """
-    import pandas as pd
-
-    from headway.store.atomic_files import read_json
-    from headway.store.run_folder import best_file
-
-    path = best_file(Path(members[0].directory).parents[1], members[0].study, members[0].cell)
-    if not path.exists():
-        return {}, {}
-    kept = read_json(path)
-    try:
-        if kept["mode"] != mode:
-            return {}, {}
-        runs = {row.run_id: kept["runs"][row.run_id] for row in members if row.run_id in kept["runs"]}
-        return (
-            {run_id: pd.DataFrame(run["episodes"])[columns].astype(float) for run_id, run in runs.items()},
-            {rule: pd.DataFrame(rows)[columns].astype(float) for rule, rows in kept["rules"].items()},
-        )
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise HeadwayError(
-            f"{path} is damaged or lacks {' or '.join(columns)}; write it again with "
-            "`headway compare --best --keep`"
-        ) from error
-
-
 def rule_phases(runs: "RunSelection") -> dict[str, dict[str, tuple[str, int]]]:
     """Return the rule of `start.rule` and the environment steps in which it acts, per task and controller.
 

@@ -2,17 +2,12 @@
 
 import json
 
-import numpy as np
-import pytest
-
-from headway.stats.pairs import LearnerDifference, holm
 from headway_launch.report.comparison_table import (
     Comparison,
     ComparisonRow,
     comparison_table,
-    pair_rows,
-    pairs_table,
 )
+from headway_launch.studies.learner_pairs import pair_rows
 
 
 def test_differences_have_a_sign_and_zero_is_never_negative() -> None:
@@ -28,20 +23,6 @@ def test_differences_have_a_sign_and_zero_is_never_negative() -> None:
         ["rule r", "\N{EN DASH}", "0.0", "\N{EN DASH}", "7", "\N{EN DASH}"],
     ]
     assert str(comparison.rounded()[0][3]) == "0.0"
-
-
-def test_pairs_are_one_family_of_hypotheses() -> None:
-    draw = np.random.default_rng(0).normal
-    learned = {name: draw(mean, 1.0, (4, 6)).tolist() for name, mean in (("a", 0), ("b", 1), ("c", 4))}
-    asked = [("a", "b"), ("a", "c"), ("b", "c")]
-    rows = pair_rows("return", learned, asked)
-    alone = [LearnerDifference.of(learned[a], learned[b]) for a, b in asked]
-    assert [(row.a, row.b) for row in rows] == asked
-    assert [row.corrected_p for row in rows] == pytest.approx(holm([each.p_value for each in alone]))
-    assert [row.seeds_needed for row in rows] == [each.seeds_needed(0.05 / 3) for each in alone]
-    table = pairs_table(rows, "pairs", "Pairs")
-    assert "p (Holm): corrected by Holm for 3 pairs." in table.caption
-    assert "with 6 episodes" in table.caption
 
 
 def test_a_record_of_a_pair_is_a_record_of_a_difference() -> None:
