@@ -28,7 +28,7 @@ TUNED = {
     "simple_control": {"kept": 0.5, "slack": 180.0},
     "self_coordinating": {"gain": 0.02},
 }
-"""Parameters of the literature's rules, chosen by `headway_envs.bus.rules.parameter_search`."""
+"""Parameters of the literature's rules, chosen by `tests.trials.bus_rule_parameters`."""
 
 ENTRY = EnvEntry(
     summary="Buses that hold, move and go to service on lines with stochastic demand and travel times",

@@ -1,6 +1,5 @@
 """Learners that stay near the policies with which they started."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from learned import assert_equal, joined, reloaded, tensors
+from made_trajectories import fabricate
 from torch import Tensor
 from torch.distributions import Categorical, Distribution, Independent, Normal, kl_divergence
 
@@ -20,7 +20,6 @@ from headway_algos.on_policy.updates.gradient_update import GradientUpdate
 from headway_algos.on_policy.warm_start import WarmStartLearner
 from headway_algos.registry import ENTRIES, configure
 
-Fabricate = Callable[..., Trajectory]
 SPEC = EnvSpec("made", ("a", "b"), 3, Discrete(3), state_size=2)
 MASKED = replace(SPEC, has_action_mask=True, agents_come_and_go=True)
 TWO_CHOICES = replace(SPEC, action_space=MultiDiscrete((3, 2)))
@@ -62,9 +61,7 @@ def _distance(before: list[Distribution], after: list[Distribution]) -> float:
     return float(torch.stack(parts).sum(0).mean())
 
 
-def _moved(
-    algorithm: str, spec: EnvSpec, coefficient: float, fabricate: Fabricate, settings: dict[str, Any]
-) -> float:
+def _moved(algorithm: str, spec: EnvSpec, coefficient: float, settings: dict[str, Any]) -> float:
     """Return the mean KL(start || policy), by torch, after ten updates on random data."""
     learner = _one(_learner(algorithm, spec, normalise_observations=False, **settings))
     draw = np.random.default_rng(8)
@@ -89,10 +86,10 @@ def _moved(
     ],
 )
 def test_a_large_penalty_holds_policies_where_they_started(
-    algorithm: str, spec: EnvSpec, settings: dict[str, Any], fabricate: Fabricate
+    algorithm: str, spec: EnvSpec, settings: dict[str, Any]
 ) -> None:
     settings = {"agent_id": False, **settings}
-    free, held = (_moved(algorithm, spec, coefficient, fabricate, settings) for coefficient in (0.0, 1e4))
+    free, held = (_moved(algorithm, spec, coefficient, settings) for coefficient in (0.0, 1e4))
     assert held < free / 10
     assert held < 2e-3
 
@@ -132,7 +129,7 @@ def _distributions_with_gradient(learner: WarmStartLearner, observations: Tensor
     return Independent(Normal(outputs, learner.actor.log_std.transpose(1, 2).exp()), 1)
 
 
-def test_the_distance_is_from_the_start_with_its_own_normaliser(fabricate: Fabricate) -> None:
+def test_the_distance_is_from_the_start_with_its_own_normaliser() -> None:
     learner = _one(_learner("ippo", SPEC, agent_id=False, policies="shared"))
     for iteration in range(1, 4):
         trajectory = fabricate(SPEC, 32, 4, seed=iteration)
@@ -159,7 +156,7 @@ def test_the_distance_is_from_the_start_with_its_own_normaliser(fabricate: Fabri
 
 
 @pytest.mark.parametrize("algorithm", ["ippo", "hatrpo", "maacktr", "coma"])
-def test_only_critic_and_normalisers_learn_if_told(algorithm: str, fabricate: Fabricate) -> None:
+def test_only_critic_and_normalisers_learn_if_told(algorithm: str) -> None:
     learner = _learner(algorithm, SPEC, **({"policies": "independent"} if algorithm == "hatrpo" else {}))
     before = tensors(learner.state_dict())
     for iteration in (1, 2, 3):
@@ -183,9 +180,7 @@ def _train(learner: AnchoredLearner, trajectories: list[Trajectory], first: int)
 
 
 @pytest.mark.parametrize("settings", [{}, {"shared_until": 0.25}, {"shared_until": 0.9}])
-def test_a_learner_that_is_reloaded_goes_on_from_the_same_start(
-    settings: dict[str, Any], fabricate: Fabricate
-) -> None:
+def test_a_learner_that_is_reloaded_goes_on_from_the_same_start(settings: dict[str, Any]) -> None:
     trajectories = [fabricate(SPEC, 32, 4, seed=seed) for seed in range(6)]
     settings = {"policies": "independent", **settings}
     whole, first, second = (_learner("ippo", SPEC, (3, 4), **settings) for _ in range(3))
@@ -196,7 +191,7 @@ def test_a_learner_that_is_reloaded_goes_on_from_the_same_start(
     assert_equal(tensors(second.state_dict()), tensors(whole.state_dict()))
 
 
-def test_policies_that_were_split_are_held_where_the_shared_one_started(fabricate: Fabricate) -> None:
+def test_policies_that_were_split_are_held_where_the_shared_one_started() -> None:
     settings = {"policies": "independent", "shared_until": 0.25, "normalise_observations": False}
     moved = []
     for coefficient in (0.0, 1e4):
@@ -213,7 +208,7 @@ def test_policies_that_were_split_are_held_where_the_shared_one_started(fabricat
     assert moved[1] < min(2e-3, moved[0] / 10)
 
 
-def test_seeds_of_a_stack_are_held_as_each_would_be_alone(fabricate: Fabricate) -> None:
+def test_seeds_of_a_stack_are_held_as_each_would_be_alone() -> None:
     tracks = [[fabricate(BOX, 32, 4, seed=10 * seed + i) for i in range(3)] for seed in (1, 2)]
     stacked, alone = _learner("mappo", BOX, (1, 2)), [_learner("mappo", BOX, (seed,)) for seed in (1, 2)]
     _train(stacked, [joined([track[i] for track in tracks]) for i in range(3)], 1)

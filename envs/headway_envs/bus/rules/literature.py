@@ -3,8 +3,7 @@
 Each computes a holding time once, when a bus is ready to leave a stop: h is the headway to the bus ahead
 then, b the time until the bus behind reaches the stop, H the target headway. Holding times below 0 are 0.
 With `control=minute` they are served in whole waits of `hold_s`, to the nearest. Buses leave terminals on
-schedule, and go to service as under the other rules. `entry` has the parameters; `parameter_search` tuned
-them.
+schedule, and go to service as under the other rules. `entry` has the tuned parameters.
 """
 
 from abc import abstractmethod

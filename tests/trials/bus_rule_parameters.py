@@ -1,10 +1,10 @@
 """Grid search for the parameters of the literature's rules, a command of two CPU minutes:
 
-    python -m headway_envs.bus.rules.parameter_search
+    python -m tests.trials.bus_rule_parameters
 
 Every combination plays the same days of the synthetic line, with holding times in seconds (`hold_levels=0`);
-the one with the highest mean team reward is chosen, and `entry` has it. The days have seeds of their own:
-none of them is a day of an evaluation.
+the one with the highest mean team reward is chosen, and `headway_envs.bus.entry` has it. The days have seeds
+of their own: none of them is a day of an evaluation.
 """
 
 from collections.abc import Iterator, Mapping
