@@ -7,12 +7,16 @@ from typing import Literal
 
 from headway.events import EvaluationFinished, Event, Failed, Finished, IterationFinished, Started
 
-Status = Literal["waiting", "starting", "training", "finished", "stopped", "failed", "elsewhere"]
+Status = Literal["waiting", "starting", "training", "finished", "paused", "stopped", "failed", "elsewhere"]
 ACTIVE: tuple[Status, ...] = ("starting", "training")
 ENDED: tuple[Status, ...] = ("finished", "failed")
-"""Statuses of ended jobs; a stopped job has not ended, since `headway resume` continues it."""
-OVER: tuple[Status, ...] = (*ENDED, "stopped", "elsewhere")
-"""Statuses of jobs that are over for this session; `elsewhere`: another session trains or finished it."""
+"""Statuses of ended jobs; a paused or stopped job has not ended, since it can be continued."""
+OVER: tuple[Status, ...] = (*ENDED, "paused", "stopped", "elsewhere")
+"""Statuses of jobs that are over for this session.
+
+`paused`: trained as far as planned, such as to a rung of a search; `elsewhere`: another session trains or
+finished it.
+"""
 
 
 @dataclass
@@ -21,6 +25,7 @@ class JobProgress:
 
     seeds: tuple[int, ...]
     iterations: int
+    """Last iteration, or that after which it is to pause."""
     mode: str
     """Evaluation mode of the return shown first."""
     iteration_steps: int
@@ -48,7 +53,8 @@ class JobProgress:
             case EvaluationFinished(mode=mode, mean_return=mean_return):
                 self.returns[mode] = mean_return
             case Finished(stopped=stopped):
-                self.status = "stopped" if stopped else "finished"
+                paused = self.iteration >= self.iterations
+                self.status = ("paused" if paused else "stopped") if stopped else "finished"
             case Failed():
                 self.status = "failed"
 
@@ -129,13 +135,18 @@ def seeds_with(jobs: Sequence[JobProgress], *statuses: Status) -> int:
     return sum(len(job.seeds) for job in jobs if job.status in statuses)
 
 
+def counts(jobs: Sequence[JobProgress], *statuses: Status) -> list[str]:
+    """Return the number of seeds with each status, such as `2 failed`, if there are any."""
+    return [f"{number} {status}" for status in statuses if (number := seeds_with(jobs, status))]
+
+
 def overall(jobs: Sequence[JobProgress], parallel: int) -> str:
     """Format the total: `12 of 30 runs ended (1 failed), 2 training, 3,210 steps/s, about 0:04:09 left`."""
-    failed, stopped = seeds_with(jobs, "failed"), seeds_with(jobs, "stopped")
+    failed = seeds_with(jobs, "failed")
     active = [job for job in jobs if job.status in ACTIVE]
     parts = [f"{seeds_with(jobs, *ENDED)} of {sum(len(job.seeds) for job in jobs)} runs ended"]
     parts[0] += f" ({failed} failed)" if failed else ""
-    parts += [f"{stopped} stopped"] if stopped else []
+    parts += counts(jobs, "paused", "stopped")
     elsewhere = seeds_with(jobs, "elsewhere")
     parts += [f"{elsewhere} left to other sessions"] if elsewhere else []
     parts.append(f"{seeds_with(jobs, *ACTIVE)} training")

@@ -9,7 +9,16 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from headway_launch.console.output import print_line, silence, visible
-from headway_launch.console.progress import ACTIVE, ENDED, JobProgress, Status, duration, overall, seeds_with
+from headway_launch.console.progress import (
+    ACTIVE,
+    ENDED,
+    JobProgress,
+    Status,
+    counts,
+    duration,
+    overall,
+    seeds_with,
+)
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -127,12 +136,11 @@ class Progress(_InPlace):
 
     def _of_cell(self, label: str) -> str:
         jobs = [job for job in self._jobs if job.label == label]
-        failed, stopped = seeds_with(jobs, "failed"), seeds_with(jobs, "stopped")
-        others = (f", {failed} failed" if failed else "") + (f", {stopped} stopped" if stopped else "")
         returns = [job.evaluation_return for job in jobs if job.evaluation_return is not None]
         mean = f", return {sum(returns) / len(returns):.4g}" if returns else ""
         seeds = sum(len(job.seeds) for job in jobs)
-        return f"{label}: {seeds_with(jobs, *ENDED)} of {seeds} ended{others}{mean}"
+        ended = f"{label}: {seeds_with(jobs, *ENDED)} of {seeds} ended"
+        return ", ".join([ended, *counts(jobs, "failed", "paused", "stopped")]) + mean
 
     def _print(self, job: JobProgress) -> None:
         self.note("  ".join(cell for cell in job.cells() if cell))

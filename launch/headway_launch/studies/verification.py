@@ -107,7 +107,7 @@ class Verification:
         if code == EXIT_STOPPED:
             return None
         if code != EXIT_DONE:
-            raise HeadwayError(f"{run_id} could not be trained again; the lines above say why")
+            raise HeadwayError(f"{run_id} could not be trained again: see above, and --debug")
         rows = runner.selection().rows
         [again] = [Path(row.directory) for row in rows if row.seed == run.record.seed]
         found = _compared(run.directory, again, planned.iterations)

@@ -3,7 +3,7 @@
 import pytest
 from rich.console import Console
 
-from headway.events import EvaluationFinished, IterationFinished, Started, Usage
+from headway.events import EvaluationFinished, Finished, IterationFinished, Started, Usage
 from headway_launch.console.progress import JobProgress, overall, seconds_left
 from headway_launch.console.progress_display import CountedProgress, Progress
 
@@ -60,13 +60,16 @@ def test_few_runs_have_a_line_each_with_speed_and_time_left() -> None:
     ]
 
 
-def test_who_was_stopped_has_not_ended() -> None:
-    jobs = [job(0, "ippo", 5), job(1, "ippo", 2), job(2, "ippo", 2)]
-    jobs[0].status, jobs[1].status, jobs[2].status = "finished", "stopped", "stopped"
-    assert overall(jobs, 2).startswith("1 of 3 runs ended, 2 stopped, 0 training")
+def test_stopped_and_paused_jobs_have_not_ended() -> None:
+    jobs = [job(0, "ippo", 5), job(1, "ippo", 2), job(2, "ippo", 2), job(3, "ippo", 10)]
+    jobs[0].status = "finished"
+    for each in jobs[1:]:
+        each.take(Finished(each.iteration, stopped=True))
+    assert [each.status for each in jobs[1:]] == ["stopped", "stopped", "paused"]
+    assert overall(jobs, 2).startswith("1 of 4 runs ended, 1 paused, 2 stopped, 0 training")
     assert seconds_left(jobs, 2) is None  # nothing is left for this session
     lines = lines_of([*jobs, job(0, "mappo")], 80, 24)
-    assert lines[1].startswith("ippo: 1 of 3 ended, 2 stopped")
+    assert lines[1].startswith("ippo: 1 of 4 ended, 1 paused, 2 stopped")
 
 
 def test_a_resumed_job_shows_the_steps_of_its_checkpoint() -> None:

@@ -61,11 +61,17 @@ def _add(container: zipfile.ZipFile, name: str, content: bytes) -> None:
 def unpacked(path: Path) -> Iterator[tuple[Path, Mapping[str, Any]]]:
     """Check an archive; yield the store that it holds, in a temporary folder, and its manifest.
 
-    Raises HeadwayError if the file is missing, damaged, no archive or one of a newer format.
+    Raises HeadwayError if the file is missing, damaged, no archive or one of a newer format. Any HeadwayError
+    of the caller names the archive instead of the temporary folder.
     """
     with tempfile.TemporaryDirectory(prefix="headway-") as folder:
-        root = Path(folder, path.name)  # which errors name
-        yield root, unpack(path, root)
+        root = Path(folder, path.name)
+        manifest = unpack(path, root)
+        try:
+            yield root, manifest
+        except HeadwayError as error:
+            error.args = (str(error).replace(str(root), str(path)),)
+            raise
 
 
 def unpack(path: Path, root: Path) -> Mapping[str, Any]:

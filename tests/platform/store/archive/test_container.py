@@ -119,6 +119,12 @@ def test_other_files_are_no_archives(tmp_path: Path) -> None:
             unpack(tmp_path / name, tmp_path / "store")
 
 
+def test_errors_on_the_store_name_the_archive(archive: Path) -> None:
+    with pytest.raises(HeadwayError) as caught, unpacked(archive) as (root, _):
+        raise HeadwayError(f"{root}/bus is incomplete")
+    assert str(caught.value) == f"{archive}/bus is incomplete"
+
+
 def test_a_failure_leaves_no_file(tmp_path: Path) -> None:
     def failing() -> Iterator[tuple[str, bytes]]:
         yield FILES[0]
