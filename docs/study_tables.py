@@ -1,11 +1,13 @@
-"""Tables of the pages in `studies/`, each written by the command above it.
+"""Tables of the pages in `studies/`, each written by the command above it, and archives of their studies.
 
-    python docs/study_tables.py --store runs            all pages
+    python docs/study_tables.py --store runs                        the tables of all pages
     python docs/study_tables.py --store runs docs/studies/bus.md
+    python docs/study_tables.py --store runs --archives archives    STUDY.zip of every study of these tables
 
-A table stands between `<!-- headway compare ... -->` and `<!-- end -->`. The command is run on the store with
-`--format markdown`, and its output replaces what is between. If it fails, because the store has no such
-study for example, the table stays, a line says so, and the exit code is 1.
+A table stands between `<!-- COMMAND -->` and `<!-- end -->`. What COMMAND prints replaces what is between:
+`headway compare ...` and `headway report STUDY --table NAME` are run on the store, with `--format markdown`,
+`python -m MODULE ...` in the checkout. If it fails, because the store has no such study for example, the
+table stays, a line says so, and the exit code is 1.
 """
 
 import argparse
@@ -15,11 +17,14 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 PAGES = Path(__file__).parent / "studies"
+CHECKOUT = Path(__file__).resolve().parents[1]
 BLOCK = re.compile(
-    r"^<!-- headway (?P<words>[^\n]+) -->\n(?P<table>.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL
+    r"^<!-- (?P<command>(?:headway|python -m) [^\n]+) -->\n(?P<table>.*?)^<!-- end -->$",
+    re.MULTILINE | re.DOTALL,
 )
 
 
@@ -30,43 +35,75 @@ def rewritten(page: str, output: Callable[[list[str]], str | None]) -> str:
     """
 
     def block(found: re.Match[str]) -> str:
-        table = output(shlex.split(found["words"]))
-        return (
-            found[0] if table is None else f"<!-- headway {found['words']} -->\n{table.strip()}\n<!-- end -->"
-        )
+        table = output(shlex.split(found["command"]))
+        return found[0] if table is None else f"<!-- {found['command']} -->\n{table.strip()}\n<!-- end -->"
 
     return BLOCK.sub(block, page)
 
 
+def studies_of(page: str) -> list[str]:
+    """Return the names of the studies whose tables a page has."""
+    commands = [shlex.split(found["command"]) for found in BLOCK.finditer(page)]
+    words = [
+        word
+        for program, _, *rest in commands
+        if program == "headway"
+        for word in takewhile(lambda word: not word.startswith("-"), rest)
+    ]
+    return list(dict.fromkeys(word for word in words if "=" not in word))
+
+
+def printed(words: Sequence[str], folder: Path) -> str | None:
+    """Return what a command prints that is run in `folder`; None, after a line that says so, if it fails."""
+    program, *rest = words
+    module = ["-m", "headway_launch"] if program == "headway" else []
+    done = subprocess.run(
+        [sys.executable, *module, *rest], cwd=folder, stdout=subprocess.PIPE, text=True, check=False
+    )
+    if done.returncode:
+        print(f"{shlex.join(words)}: exit code {done.returncode}", file=sys.stderr)
+        return None
+    return done.stdout
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Rewrite the tables; return the exit code."""
+    """Rewrite the tables or write the archives; return the exit code."""
     parser = argparse.ArgumentParser(description="Write the tables of the studies' pages from a store.")
     parser.add_argument("pages", nargs="*", type=Path, help="pages to rewrite (default: all of docs/studies)")
     parser.add_argument(
         "--store", type=Path, default=Path("runs"), help="folder of the store (default: runs)"
     )
+    parser.add_argument(
+        "--archives",
+        type=Path,
+        metavar="FOLDER",
+        help="write the archives of the studies to this folder instead",
+    )
     asked = parser.parse_args(arguments)
     if not asked.store.is_dir():
         parser.error(f"there is no store {asked.store}; give one that has the studies' runs: --store FOLDER")
+    pages = {page: page.read_text(encoding="utf-8") for page in asked.pages or sorted(PAGES.glob("*.md"))}
     failed = 0
     with tempfile.TemporaryDirectory() as folder:
         # The name of the store is part of what is printed: a page shows the default one.
         (Path(folder) / "runs").symlink_to(asked.store.resolve())
+        if asked.archives is not None:
+            asked.archives.mkdir(parents=True, exist_ok=True)
+            for study in dict.fromkeys(study for text in pages.values() for study in studies_of(text)):
+                words = ["headway", "archive", study, "-o", str(asked.archives.resolve() / f"{study}.zip")]
+                failed += printed(words, Path(folder)) is None
+            return 1 if failed else 0
 
         def output(words: list[str]) -> str | None:
             nonlocal failed
-            command = [sys.executable, "-m", "headway_launch", *words, "--format", "markdown"]
-            done = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, text=True, check=False)
-            if done.returncode == 0:
-                return done.stdout
-            failed += 1
-            print(
-                f"kept the table of headway {shlex.join(words)}: exit code {done.returncode}", file=sys.stderr
-            )
-            return None
+            if words[0] == "headway":
+                table = printed([*words, "--format", "markdown"], Path(folder))
+            else:
+                table = printed(words, CHECKOUT)
+            failed += table is None
+            return table
 
-        for page in asked.pages or sorted(PAGES.glob("*.md")):
-            before = page.read_text(encoding="utf-8")
+        for page, before in pages.items():
             after = rewritten(before, output)
             if after != before:
                 page.write_text(after, encoding="utf-8")

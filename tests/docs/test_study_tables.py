@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 SCRIPT = Path(__file__).resolve().parents[2] / "docs" / "study_tables.py"
-rewritten = runpy.run_path(str(SCRIPT))["rewritten"]
+NAMES = runpy.run_path(str(SCRIPT))
+rewritten, studies_of = NAMES["rewritten"], NAMES["studies_of"]
 PAGE = """Before.
 
 <!-- headway compare bus --metrics 'return,wait time' -->
@@ -16,7 +17,13 @@ PAGE = """Before.
 
 Between.
 
-<!-- headway compare merge -->
+<!-- headway report merge_study bus --table scaling -->
+<!-- end -->
+
+<!-- headway compare env=merge -->
+<!-- end -->
+
+<!-- python -m benchmarks merge -->
 <!-- end -->
 """
 
@@ -32,9 +39,20 @@ def test_each_block_gets_the_output_of_its_command() -> None:
         "Before.\n\n"
         "<!-- headway compare bus --metrics 'return,wait time' -->\n| table 1 |\n<!-- end -->\n\n"
         "Between.\n\n"
-        "<!-- headway compare merge -->\n| table 2 |\n<!-- end -->\n"
+        "<!-- headway report merge_study bus --table scaling -->\n| table 2 |\n<!-- end -->\n\n"
+        "<!-- headway compare env=merge -->\n| table 3 |\n<!-- end -->\n\n"
+        "<!-- python -m benchmarks merge -->\n| table 4 |\n<!-- end -->\n"
     )
-    assert asked == [["compare", "bus", "--metrics", "return,wait time"], ["compare", "merge"]]
+    assert asked == [
+        ["headway", "compare", "bus", "--metrics", "return,wait time"],
+        ["headway", "report", "merge_study", "bus", "--table", "scaling"],
+        ["headway", "compare", "env=merge"],
+        ["python", "-m", "benchmarks", "merge"],
+    ]
+
+
+def test_the_studies_of_a_page_are_those_of_its_tables() -> None:
+    assert studies_of(PAGE) == ["bus", "merge_study"]
 
 
 def test_a_block_whose_command_fails_stays() -> None:
@@ -46,7 +64,7 @@ def test_every_table_on_a_page_is_that_of_its_command() -> None:
     for page in (SCRIPT.parent / "studies").glob("*.md"):
         text = page.read_text(encoding="utf-8")
         opened = re.findall(r"<!-- headway (.*?) -->", text)
-        printed = re.findall(r"^`headway (compare .*) --format markdown`\.$", text, re.MULTILINE)
+        printed = re.findall(r"Written by\s`headway (.*) --format markdown`\.", text)
         assert opened == printed, page.name
         tables += len(opened)
     assert tables

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.arguments import add_store_argument, named_studies, typed_line
-from headway_launch.report.report_files import FORMATS, write_report
+from headway_launch.report.report_files import FORMATS, table_text, write_report
 
 EXAMPLES = """\
 examples:
@@ -13,6 +13,7 @@ examples:
   headway report bus --output supplement
   headway report bus --format markdown --output docs/bus      a page for a site, docs/bus/report.md
   headway report bus --format latex --output paper            tables and pictures for a paper
+  headway report bus --table energy --format markdown         print one table, also as latex or csv
   headway report bus merge old/runs:crossing                  ranks and normalised scores over environments
   headway report bus --metric evaluation_sampled/return
   headway report bus --metric evaluation_greedy/mean_wait_min --lower-is-better
@@ -35,6 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--format", choices=FORMATS, default="html", help="what to write (default: html)")
     parser.add_argument(
+        "--table", metavar="NAME", help="print only this table, named as its file in tables/; not with html"
+    )
+    parser.add_argument(
         "--output", metavar="DIR", help="folder to write (default: report-STUDY, or report-STUDY-STUDY...)"
     )
     parser.add_argument(
@@ -50,14 +54,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(arguments: argparse.Namespace) -> int:
-    """Write the report and print the path of its page, or of its folder if it has none."""
+    """Write the report and print the path of its page, or of its folder if it has none; or print a table."""
+    if arguments.table is not None and arguments.format == "html":
+        raise HeadwayError("--table prints a table as --format markdown, latex or csv; add one of them")
+    if arguments.table is not None and arguments.output is not None:
+        raise HeadwayError("--output has no effect with --table, which prints; omit one of them")
     (root, study), *others = named_studies(arguments.study, arguments.store).values()
     folder = Path(arguments.output or "-".join(["report", study, *(other for _, other in others)]))
-    if folder.exists() and not folder.is_dir():
+    if arguments.table is None and folder.exists() and not folder.is_dir():
         raise HeadwayError(f"--output: {folder} is a file; name a folder")
     from headway_launch.report.study_data import StudyData
     from headway_launch.report.study_report import report_of
 
     data = StudyData(root, study, arguments.metric, arguments.lower_is_better, arguments.low, others)
-    print(write_report(report_of(data, typed_line(arguments)), folder, FORMATS[arguments.format]))
+    report = report_of(data, typed_line(arguments))
+    if arguments.table is not None:
+        print(table_text(report, arguments.table, arguments.format), end="")
+    else:
+        print(write_report(report, folder, FORMATS[arguments.format]))
     return 0

@@ -4,12 +4,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from headway.config.schema import suggestion
+from headway.contracts.errors import HeadwayError
 from headway_launch.console.output import print_line
 from headway_launch.console.output_files import save_figure, write_error
 from headway_launch.report.elements import Listing, Part, Picture, Report, Table
 from headway_launch.report.html_page import html
 from headway_launch.report.latex_table import latex_table
-from headway_launch.report.markdown_page import PICTURES, markdown
+from headway_launch.report.markdown_page import PICTURES, markdown, markdown_table
 
 _PARTS = ("tables", "pictures", "configs")
 _DOTS_PER_INCH = 200
@@ -44,6 +46,22 @@ FORMATS: Mapping[str, ReportFormat] = {
     "csv": ReportFormat(tables="csv"),
 }
 """Formats by the value of --format."""
+
+
+def table_text(report: Report, name: str, form: str) -> str:
+    """Return a table of a report as `markdown`, `latex` or `csv`.
+
+    Raises HeadwayError if the report has no such table.
+    """
+    parts = [part for section in report.sections for part in section.body]
+    tables = {part.name: part for part in parts if isinstance(part, Table)}
+    if name not in tables:
+        raise HeadwayError(f"--table: unknown table {name!r}; {suggestion(name, tables)}")
+    table = tables[name]
+    if form == "markdown":
+        caption = f"{report.title}. {table.caption} Written by `{report.command}`."
+        return markdown_table(replace(table, caption=caption)) + "\n"
+    return _in_format(table, FORMATS[form].tables, report.command)
 
 
 def write_report(report: Report, folder: Path, chosen: ReportFormat) -> Path:
@@ -91,11 +109,13 @@ def _file_of(part: Part, chosen: ReportFormat) -> str:
 def _write_part(part: Part, command: str, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     match part:
-        case Table() if path.suffix == ".csv":
-            part.exact.to_csv(path, index=False)
         case Table():
-            path.write_text(latex_table(part, command), encoding="utf-8")
+            path.write_text(_in_format(part, path.suffix[1:], command), encoding="utf-8")
         case Picture(figure=figure):
             save_figure(figure, path, path.suffix[1:], _DOTS_PER_INCH)
         case Listing(text=text):
             path.write_text(text if text.endswith("\n") else text + "\n", encoding="utf-8")
+
+
+def _in_format(table: Table, suffix: str, command: str) -> str:
+    return str(table.exact.to_csv(index=False)) if suffix == "csv" else latex_table(table, command)

@@ -83,6 +83,41 @@ def test_formats_share_sections_and_tables(report: Report, pages: dict[str, Path
     assert files_in(formats / "csv") == {f"tables/{name}.csv" for name in tables["csv"]}
 
 
+def test_one_table_is_printed_as_it_is_in_the_files(
+    root: Path, pages: dict[str, Path], formats: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["report", "study", "--store", str(root), "--table", "final_rewards", "--format"]
+    for form, file in (("csv", "csv/tables/final_rewards.csv"), ("latex", "latex/tables/final_rewards.tex")):
+        assert run_command([*asked, form]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        without_command = [line for line in lines if not line.startswith("% headway")]
+        known = (formats / file).read_text().splitlines()
+        assert without_command == [line for line in known if not line.startswith("% headway")]
+    assert run_command([*asked, "markdown"]) == 0
+    caption, table = capsys.readouterr().out.split("\n\n")
+    assert table in pages["markdown"].read_text()
+    line = "headway report study --store FOLDER/store --table final_rewards --format markdown"
+    assert " ".join(caption.split()).endswith(f"Written by `{line}`.")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (
+            ["--table", "final_reward", "--format", "csv"],
+            "unknown table 'final_reward'; did you mean final_rewards?",
+        ),
+        (["--table", "energy"], "--table prints a table as --format markdown, latex or csv; add one of them"),
+        (["--table", "energy", "--format", "csv", "--output", "x"], "--output has no effect with --table"),
+    ],
+)
+def test_a_table_that_cannot_be_printed_is_one_line(
+    words: list[str], line: str, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["report", "study", "--store", str(root), *words]) == 2
+    assert line in capsys.readouterr().err
+
+
 def test_the_same_store_gives_the_same_files(root: Path, pages: dict[str, Path], tmp_path: Path) -> None:
     again = report_of(StudyData(root, "study"), "headway report study")
     for name, page in pages.items():
