@@ -1,8 +1,7 @@
 """Starts of the on-policy learner from a rule or a trained run."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -10,13 +9,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import EnvSpec, Trajectory
+from headway.contracts import Trajectory
 from headway_algos.agent_id import trajectory_with_ids
 from headway_algos.batches.divergence import raise_if_diverged
 from headway_algos.batches.nested_states import replica_state, same_shapes, trained_state
 from headway_algos.batches.old_policies import OldPolicies
 from headway_algos.batches.policy_batch import PolicyBatch
-from headway_algos.config import AlgoConfig
 from headway_algos.grouping import Grouping
 from headway_algos.networks.actor import Actor
 from headway_algos.on_policy.imitation import decisions, imitate, imitate_sequences
@@ -30,22 +28,14 @@ _NETWORKS = ("networks", "target")
 class WarmStartLearner(OnPolicyLearner):
     """A `headway.contracts.AnchoredLearner`: an on-policy learner that can start from a rule or a run."""
 
-    def __init__(
-        self,
-        config: AlgoConfig,
-        spec: EnvSpec,
-        seeds: Sequence[int],
-        device: str,
-        step_scale: float = 1.0,
-    ) -> None:
-        """Arguments: see `OnPolicyLearner`."""
-        super().__init__(config, spec, seeds, device, step_scale)
-        self.rule_decisions = RuleDecisions(len(seeds), self.grouping.num_policies)
-        policies = np.arange(self.grouping.num_policies)[:, None]
-        self.alike = Grouping.of("groups", spec) if config.policies == "independent" else Grouping(policies)
-        self.start_actor: Actor | None = None
-        """Policies with which training started, while a penalty keeps the new ones near them."""
-        self.kl_coeff, self.critic_only = 0.0, False
+    start_actor: Actor | None = None
+    """Policies with which training started, while a penalty keeps the new ones near them."""
+    kl_coeff, critic_only = 0.0, False
+
+    @cached_property
+    def rule_decisions(self) -> RuleDecisions:
+        """The rule's decisions that are kept until the policies imitate them."""
+        return RuleDecisions(len(self.seeds), self.grouping.num_policies)
 
     def anchor(self, kl_coeff: float, critic_only: bool) -> None:
         """Implement `headway.contracts.AnchoredLearner.anchor`."""
@@ -104,8 +94,14 @@ class WarmStartLearner(OnPolicyLearner):
             return {}
         moments = self.actor.moments if self.config.normalise_observations else None
         sample = self.rule_decisions.rows(moments, self.device)
-        self.rule_decisions = RuleDecisions(len(self.seeds), self.grouping.num_policies)
-        return imitate(self.actor, sample, *parts, self.alike)
+        del self.rule_decisions
+        return imitate(self.actor, sample, *parts, self._alike())
+
+    def _alike(self) -> Grouping:
+        """Return the policies of a seed grouped by whether their agents are interchangeable."""
+        if self.config.policies == "independent":
+            return Grouping.of("groups", self.spec)
+        return Grouping(np.arange(self.grouping.num_policies)[:, None])
 
     def replay_state(self) -> dict[str, Any] | None:
         """Return the rule's decisions that are kept for imitation; None if there are none."""
