@@ -1,4 +1,4 @@
-"""Changed environment arguments for the evaluation of a stored run."""
+"""Changed keys of the environment for the evaluation or verification of a stored run."""
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
@@ -24,7 +24,11 @@ def with_env_args(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple
 
 
 def with_env_keys(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
-    """Return what `with_env_args` does, for any keys of `env`."""
+    """Return a stored configuration with changed keys of `env`, and a description of each change.
+
+    `overrides`: `env.KEY=VALUE` in Hydra's grammar, with one value. Raises HeadwayError for others, and for a
+    key below a value that has no keys.
+    """
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     changed, changes = deepcopy(dict(mapping)), []

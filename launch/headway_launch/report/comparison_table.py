@@ -103,18 +103,18 @@ class Comparison:
             values = (*row[:4], reference, *row[4:], None, None, None)
             records.append(dict(zip(RECORD_COLUMNS, values, strict=True)))
         for pair in self.pairs:
-            found = pair.found.interval
+            found = pair.difference.interval
             compared = (
                 *means[pair.metric, pair.a][:4],
                 *(pair.b, found.estimate, found.low, found.high, found.method),
-                *(pair.found.p_value, pair.corrected_p, pair.needed),
+                *(pair.difference.p_value, pair.corrected_p, pair.needed),
             )
             records.append(dict(zip(RECORD_COLUMNS, compared, strict=True)))
         return records
 
     def rounded_pairs(self) -> list[tuple[Value, ...]]:
         """Return the values of `PAIR_COLUMNS`, rounded as those of `rounded`."""
-        found = [pair.found.interval for pair in self.pairs]
+        found = [pair.difference.interval for pair in self.pairs]
         decimals = _decimals(
             (pair.metric, each.low, each.high) for pair, each in zip(self.pairs, found, strict=True)
         )
@@ -195,7 +195,7 @@ def pairs_table(pairs: Sequence[PairRow], name: str, caption: str) -> Table:
 
     cells, exact = [], []
     for pair in pairs:
-        found = pair.found.interval
+        found = pair.difference.interval
         shown = with_interval(found.estimate, found.low, found.high, sign="+")
         needed = MISSING if pair.needed is None else str(pair.needed)
         cells.append([pair.a, pair.b, shown, *pair.p_texts, needed])
@@ -207,7 +207,7 @@ def pairs_table(pairs: Sequence[PairRow], name: str, caption: str) -> Table:
                 "low": found.low,
                 "high": found.high,
                 "interval": found.method,
-                "p": pair.found.p_value,
+                "p": pair.difference.p_value,
                 "p_holm": pair.corrected_p,
                 "seeds_needed": pair.seeds_needed,
             }

@@ -115,9 +115,9 @@ def _learner_pairs(data: StudyData, task: str) -> list[str]:
     """Say which pairs of learners differ; nothing if the pairs were not compared."""
     pairs = data.learner_pairs.get(task, [])
     differ = [
-        (pair.a, pair.b) if data.sign * pair.found.estimate > 0 else (pair.b, pair.a)
+        (pair.a, pair.b) if data.sign * pair.difference.estimate > 0 else (pair.b, pair.a)
         for pair in pairs
-        if pair.corrected_p < 1 - CONFIDENCE and min(pair.found.seeds) >= SEEDS_FOR_A_CLAIM
+        if pair.corrected_p < 1 - CONFIDENCE and min(pair.difference.seeds) >= SEEDS_FOR_A_CLAIM
     ]
     if not pairs:
         return []

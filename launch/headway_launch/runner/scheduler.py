@@ -222,7 +222,7 @@ class Scheduler:
     def _take(self, job: SessionJob, event: Event, shown: Progress) -> None:
         progress = job.progress
         if isinstance(event, Failed) and event.lost and self._asked_to_stop_at is not None:
-            # Whoever stops the session, such as Slurm, may end workers and their cluster at the same time.
+            # What stops the session, such as Slurm, may end workers and their cluster at the same time.
             shown.note(f"{progress.name} is stopped: {event.line}")
             event = Finished(progress.iteration, stopped=True)
         job.take(event)

@@ -14,7 +14,7 @@ class PairRow(NamedTuple):
     metric: str
     a: str
     b: str
-    found: LearnerDifference
+    difference: LearnerDifference
     """a minus b."""
     corrected_p: float
     """Its p-value, corrected by Holm for the number of pairs."""
@@ -24,7 +24,7 @@ class PairRow(NamedTuple):
     @property
     def p_texts(self) -> tuple[str, str]:
         """The p-value and the corrected one."""
-        return p_text(self.found.p_value), p_text(self.corrected_p)
+        return p_text(self.difference.p_value), p_text(self.corrected_p)
 
     @property
     def needed(self) -> int | str | None:
@@ -58,8 +58,9 @@ def p_text(value: float) -> str:
 def pairs_note(pairs: Sequence[PairRow]) -> str:
     """Explain the columns of a table of pairs, which played the same episodes."""
     family = f"corrected by Holm for {len(pairs)} pairs" if len(pairs) > 1 else "of a single pair"
+    episodes = pairs[0].difference.episodes
     return (
         f"p (Holm): {family}. Seeds needed: seeds per learner with which a corrected p below "
-        f"{1 - CONFIDENCE:.0%} has a probability of {POWER:.0%} with {pairs[0].found.episodes} episodes, if "
-        "the true difference and variances are the observed ones"
+        f"{1 - CONFIDENCE:.0%} has a probability of {POWER:.0%} with {episodes} episodes, if the true "
+        "difference and variances are the observed ones"
     )

@@ -38,6 +38,6 @@ def test_a_record_of_a_pair_is_a_record_of_a_difference() -> None:
         json.dumps(records, allow_nan=False)
         assert [record["reference"] for record in records] == ["rule r", "rule r", None, "b"]
         assert records[-1]["controller"] == "a"
-        assert records[-1]["difference"] == pairs[0].found.estimate
+        assert records[-1]["difference"] == pairs[0].difference.estimate
         assert records[-1]["seeds needed"] == needed
         assert set(map(tuple, records)) == {tuple(records[0])}
