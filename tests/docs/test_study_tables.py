@@ -77,3 +77,18 @@ def test_a_missing_store_is_one_line(tmp_path: Path) -> None:
     assert done.stderr.splitlines()[-1].endswith(
         f"there is no store {tmp_path}/none; give one that has the studies' runs: --store FOLDER"
     )
+
+
+def test_commands_are_run_and_a_failing_one_keeps_its_table(tmp_path: Path) -> None:
+    page, store = tmp_path / "page.md", tmp_path / "store"
+    page.write_text(
+        "<!-- python -m calendar 2026 1 -->\n<!-- end -->\n\n"
+        "<!-- headway compare bus -->\n| old |\n<!-- end -->\n"
+    )
+    store.mkdir()
+    command = [sys.executable, str(SCRIPT), "--store", str(store), str(page)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == "headway compare bus --format markdown: exit code 2"
+    assert "January 2026" in page.read_text()
+    assert "| old |" in page.read_text()
