@@ -2,6 +2,7 @@
 
 import argparse
 import platform
+import sys
 
 from benchmarks import (
     city,
@@ -40,7 +41,8 @@ def main() -> None:
     for name in names:
         if name not in REPORTS:
             parser.error(f"there is no benchmark {name!r}; choose from {', '.join(REPORTS)}")
-    print(f"Python {platform.python_version()} on {platform.machine()}; no other load is assumed.")
+    line = f"Python {platform.python_version()} on {platform.machine()}; no other load is assumed."
+    print(line, file=sys.stderr)  # the rest is Markdown
     for name in names:
         REPORTS[name]()
 

@@ -55,8 +55,8 @@ def outflow(controller: str, demand: str, seeds: int = 3, **arguments: float) ->
 
 def report() -> None:
     """Print the outflow of each controller at each demand beside the published one."""
-    print("\n## The crossing of Yan and Wu: outflow, veh/h, here / published (difference)\n")
-    print(f"| horizontal x vertical, veh/h | {' | '.join(CONTROLLERS)} |")
+    print("\n## Controllers without learning: outflow, veh/h, here / published (difference)\n")
+    print(f"| horizontal x vertical, veh/h | {' | '.join(f'`{name}`' for name in CONTROLLERS)} |")
     print(f"|---|{'---:|' * len(CONTROLLERS)}")
     crashes = 0.0
     for demand, published in PUBLISHED.items():
@@ -75,7 +75,7 @@ def report() -> None:
 
 def _report_shares(demand: str = "700x700") -> None:
     """Print how many vehicles automated ones let through that agree on a signal, by their share."""
-    print(f"\n## The same crossing at {demand}: outflow, veh/h, by share of automated vehicles\n")
+    print(f"\n## Vehicles that agree, at {demand}: outflow, veh/h, by share of automated vehicles\n")
     print(
         "| share | humans do not yield: `virtual_signal` | collided | humans yield | collided | published |"
     )
@@ -87,6 +87,6 @@ def _report_shares(demand: str = "700x700") -> None:
             cells += [f"{ours[0]:,.0f}", f"{ours[1]:.1f}"]
         cells.append("" if published is None else f"{published:,.0f}")
         print(f"| {share:.1%} | {' | '.join(cells)} |", flush=True)
-    print()
-    for rule in ("human_mode1", "human"):
-        print(f"Rule `{rule}`: {outflow(rule, demand, hdv_speed_mode=1)[0]:,.0f} veh/h.")
+    rules = ("human_mode1", "human")
+    outflows = (f"`{rule}` {outflow(rule, demand, hdv_speed_mode=1)[0]:,.0f}" for rule in rules)
+    print(f"\nRules without a signal, veh/h: {', '.join(outflows)}.")
