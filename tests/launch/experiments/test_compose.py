@@ -399,9 +399,7 @@ def test_every_experiment_composes_and_has_a_summary(option: str) -> None:
     assert _of_study(option).study
 
 
-@pytest.mark.parametrize(
-    "name", quick_or_slow({name: (name,) for name in options()["search"]}, "bus_horizon")
-)
+@pytest.mark.parametrize("name", quick_or_slow({name: (name,) for name in options()["search"]}, "bus_trpo"))
 def test_every_search_is_valid_on_seeds_that_no_study_reports(name: str) -> None:
     reported = {seed for option in options()["experiment"] for seed in _of_study(option).seed}
     for part in read_search(name):
