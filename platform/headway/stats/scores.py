@@ -34,15 +34,6 @@ class Band:
     high: NDArray[np.float64]
 
 
-def interquartile_mean(scores: ArrayLike) -> float:
-    """Return the mean of the middle half of all scores, of any shape.
-
-    A quarter of the scores, rounded down, is trimmed at each end (Agarwal et al. 2021;
-    `scipy.stats.trim_mean` with 0.25). Raises ValueError if there are no scores or one is not finite.
-    """
-    return float(_trimmed(as_sample(np.ravel(scores), "scores")))
-
-
 def stratified_bootstrap_interval(
     scores: Sequence[ArrayLike], statistic: Statistic | None = None
 ) -> Interval:
@@ -140,7 +131,7 @@ def normalised(score: ArrayLike, random: float, best: float) -> NDArray[np.float
 
 
 def _trimmed(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the interquartile mean along the last axis."""
+    """Return the interquartile mean along the last axis: a quarter, rounded down, is trimmed at each end."""
     count = scores.shape[-1]
     cut = count // 4
     middle: NDArray[np.float64] = np.sort(scores, axis=-1)[..., cut : count - cut].mean(axis=-1)

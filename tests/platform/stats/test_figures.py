@@ -11,7 +11,7 @@ from scipy import stats as scipy_stats
 from headway.stats.curves import auc, final_reward
 from headway.stats.intervals import difference_of_means, paired_difference, paired_difference_over_seeds
 from headway.stats.samples import mean_std
-from headway.stats.scores import interquartile_mean, stratified_bootstrap_interval
+from headway.stats.scores import stratified_bootstrap_interval
 
 
 def test_final_reward_is_the_mean_over_the_last_fifth_of_the_steps() -> None:
@@ -155,11 +155,8 @@ def test_pairs_must_match() -> None:
 @pytest.mark.parametrize("count", [1, 3, 4, 10, 37])
 def test_interquartile_mean_is_the_trimmed_mean(count: int) -> None:
     scores = np.random.default_rng(count).normal(size=count)
-    assert interquartile_mean(scores) == pytest.approx(scipy_stats.trim_mean(scores, 0.25))
-
-
-def test_interquartile_mean_takes_runs_by_tasks() -> None:
-    assert interquartile_mean([[0, 1, 2, 3], [4, 5, 6, 700]]) == pytest.approx(3.5)
+    found = stratified_bootstrap_interval([scores]).estimate
+    assert found == pytest.approx(scipy_stats.trim_mean(scores, 0.25))
 
 
 def test_stratified_bootstrap_draws_within_tasks() -> None:
