@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from stored_runs import keep
+from stored_runs import keep, write_plan
 
 from headway.config.schema import plain
 from headway.contracts import ActingPolicy, EnvSpec
 from headway.policies.stored_spec import spec_json
-from headway.store.atomic_files import write_json
 from headway.store.checkpoint import save_checkpoint
 from headway.store.run_folder import CHECKPOINTS
 from headway_algos.registry import ENTRIES, configure
@@ -56,8 +55,7 @@ def keep_policy(
     folder = keep(
         root, "kept", SEEDS[-1], spec.name, algorithm, cell, config=mapping, iterations=5, tags=tags
     )
-    plan = {"stack": SEEDS, "workers": 1, "scaled_actions": True, "spec": spec_json(spec)}
-    write_json(folder / "plan.json", plan)
+    write_plan(folder, SEEDS, spec_json(spec))
     acting = ENTRIES[algorithm].acting_policy(config, spec.for_policies)
     parameters = random_parameters(acting, len(SEEDS))
     (folder / CHECKPOINTS).mkdir()

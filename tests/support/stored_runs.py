@@ -65,5 +65,11 @@ def keep_run(
         iterations=1, session=session, status=status, parameters=parameters, durable_iteration=iteration,
         duration_s=10.0 * (seed + 1),
     )  # fmt: skip
-    write_json(directory / "plan.json", {"stack": list(stack or (seed,)), "workers": 1})
+    write_plan(directory, stack or (seed,))
     return directory.name
+
+
+def write_plan(directory: Path, stack: Sequence[int], spec: Mapping[str, Any] | None = None) -> None:
+    """Write the plan of a run with one worker; `spec`: its environment's specification as JSON."""
+    plan = {"stack": list(stack), "workers": 1, "rollout": {"block": 1}, "spec": spec or {}}
+    write_json(directory / "plan.json", plan)

@@ -136,10 +136,8 @@ def _played(
     compile_kernels(entry)
     copies = min(_COPIES, trained.spec.max_copies_per_process or _COPIES)
     rollout = RolloutConfig(copies=copies, block=copies)
-    policy_spec = replace(trained.spec, action_space=trained.description.policy_space)
-    plan = RolloutPlan.of(
-        rollout, entry.make, (), environment.prepared, policy_spec, acting, (seed,), environment.training
-    )
+    spec, training = trained.spec.for_policies, environment.training
+    plan = RolloutPlan.of(rollout, entry.make, (), environment.prepared, spec, acting, (seed,), training)
     player = PolicyPlayer(plan, copies, copies)
     draws = [generator(seed, "export action", copy) for copy in range(copies)]
     noise = np.stack([acting.noise(draw, _STEPS) for draw in draws], axis=1)

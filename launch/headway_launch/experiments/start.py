@@ -82,11 +82,6 @@ def _require_fitting(folder: Path, record: RunRecord, plan: RunPlan, policy: Act
     `policy`."""
     from headway.store.checkpoint import load_latest
 
-    if not plan.scaled_actions:
-        raise HeadwayError(
-            f"start.run: {folder.name} was trained by an earlier version, with actions in other units; train "
-            "it again"
-        )
     _, state, _ = load_latest(folder / CHECKPOINTS)
     shapes = {name: np.shape(array) for name, array in state["acting"].items()}
     stored = {name: (of[0] // len(plan.stack), *of[1:]) for name, of in shapes.items() if of}

@@ -63,7 +63,6 @@ class SessionCell:
             "stack": list(planned.seeds),
             "rollout": plain(planned.config.rollout),
             "workers": workers_of(planned, shares),
-            "scaled_actions": True,
             "spec": spec_json(planned.env_spec),
         }
         with self._store.claiming():

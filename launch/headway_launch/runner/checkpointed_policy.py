@@ -35,7 +35,7 @@ def stored_policy(run: StoredRun, environment: PreparedEnv, best: bool = False) 
     checkpoint, or if it does not fit the environment's observations and actions or is not finite.
     """
     experiment, rollout = run.experiment, run.experiment.config.rollout
-    spec = run.policy_spec(environment)
+    spec = environment.spec.for_policies
     policy = experiment.algo.acting_policy(experiment.algo_config, spec)
     env, seed = environment.entry, run.record.seed
     iteration, parameters, notices = stored_parameters(

@@ -51,11 +51,10 @@ class PlannedJob:
         experiment: Experiment,
         config: ExperimentConfig,
         environment: PreparedEnv,
-        spec: EnvSpec,
         seeds: tuple[int, ...],
     ) -> Self:
-        """Return a new job that trains `seeds` with `config`; `spec` has actions in the units of policies."""
-        entry, algo = experiment.env, experiment.algo
+        """Return a new job that trains `seeds` with `config`."""
+        entry, algo, spec = experiment.env, experiment.algo, environment.spec.for_policies
         plan = RolloutPlan.of(
             config.rollout,
             entry.make,
@@ -148,9 +147,9 @@ def new_jobs(
             )
         config = _one_worker_per_block(requested, environment.spec, experiment.algo_name)
         _print_workers(config.rollout, experiment.algo_name)
-    stack, spec = config.backend.stack, environment.spec.for_policies
+    stack = config.backend.stack
     jobs = [
-        PlannedJob.of(experiment, config, environment, spec, tuple(seeds[first : first + stack]))
+        PlannedJob.of(experiment, config, environment, tuple(seeds[first : first + stack]))
         for first in range(0, len(seeds), stack)
     ]
     if config.start.rule is not None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from headway.adapters.env_file import require_unchanged
-from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
 from headway.store.checkpoint import latest_iteration
 from headway.store.run_configuration import read_configuration
@@ -74,10 +73,6 @@ class StoredRun:
         """The experiment of the stored configuration. Raises HeadwayError if this version refuses it."""
         return resolve(self.mapping)
 
-    def policy_spec(self, environment: PreparedEnv) -> EnvSpec:
-        """Return the environment's specification, with actions in the units of this run's policies."""
-        return environment.spec.for_policies if self.plan.scaled_actions else environment.spec
-
 
 def jobs_to_resume(
     runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None = None
@@ -116,12 +111,9 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
             )
         run_ids = tuple(by_seed[seed].record.run_id for seed in stack)
         iteration = min(by_seed[seed].record.durable_iteration for seed in stack)
-        first_of = by_seed[stack[0]]
-        plan, spec = first_of.plan, first_of.policy_spec(environment)
-        config = experiment.config
-        if plan.block is not None:
-            config = replace(config, rollout=replace(config.rollout, block=plan.block))
-        job = PlannedJob.of(experiment, config, environment, spec, stack)
+        plan, config = by_seed[stack[0]].plan, experiment.config
+        config = replace(config, rollout=replace(config.rollout, block=plan.block))
+        job = PlannedJob.of(experiment, config, environment, stack)
         folders = [by_seed[seed].directory / CHECKPOINTS for seed in stack]
         if all(latest_iteration(folder) is None for folder in folders):  # it starts from the beginning
             job = job.with_parent(parent_run(experiment, job.training.plan.policy))

@@ -7,7 +7,6 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import make_folder, read_json, write_json
 from headway.store.cell_names import CellChoice, names_among
@@ -87,20 +86,10 @@ class StudyProgress:
         ):
             jobs += batch
         if self.new:
-            self._require_same_units(self.experiment.prepare(known).spec)
             jobs += new_jobs(self.experiment, self.new, known)
         finished = tuple(run.directory for run in self.finished)
         elsewhere = tuple(run.directory for run in self.elsewhere)
         return CellPlan(self.experiment, tuple(jobs), finished, label, self.run_ids, elsewhere)
-
-    def _require_same_units(self, spec: EnvSpec) -> None:
-        """Raise HeadwayError if seeds to train would act in other units than seeds of an earlier version."""
-        earlier = [run for run in (*self.finished, *self.unfinished) if not run.plan.scaled_actions]
-        if earlier and spec.for_policies != spec:
-            raise HeadwayError(
-                f"study {self.experiment.config.study} holds seeds of an earlier version, whose policies act "
-                f"in the units of {spec.name}, not in [-1, 1]; set another study name to train all again"
-            )
 
     def _require_whole_stacks(self) -> None:
         there = {run.record.seed for run in self.unfinished}

@@ -25,8 +25,6 @@ class PolicyDescription:
     """D: components of an observation."""
     action_space: ActionSpace
     """Action space of the environment."""
-    policy_space: ActionSpace
-    """Action space in the units of the network; differs from `action_space` for Box actions only."""
     has_action_mask: bool
     """Whether the policy needs action masks."""
     network: PolicyNetwork
@@ -63,8 +61,7 @@ class PolicyDescription:
         if network.num_indices:
             constants["indices"] = np.eye(network.num_indices)[list(network.index_of_agent)][:, None]
         if isinstance(self.action_space, Box):
-            assert isinstance(self.policy_space, Box)
-            scale, offset = self.policy_space.scaling_to(self.action_space)
+            scale, offset = self.action_space.for_policies.scaling_to(self.action_space)
             low, high = np.array(self.action_space.low), np.array(self.action_space.high)
             if network.output == "tanh":
                 scale, offset = (high - low) / 2, (high + low) / 2
@@ -75,9 +72,8 @@ class PolicyDescription:
 
     def to_json(self) -> str:
         """Return the description as JSON text."""
-        spaces = {"action_space": self.action_space, "policy_space": self.policy_space}
-        written = {name: space_json(space) for name, space in spaces.items()}
-        return json.dumps({"headway_policy": _FORMAT, **asdict(self), **written}, default=str)
+        content = {**asdict(self), "action_space": space_json(self.action_space)}
+        return json.dumps({"headway_policy": _FORMAT, **content}, default=str)
 
     @classmethod
     def from_json(cls, text: str) -> Self:
@@ -93,13 +89,12 @@ class PolicyDescription:
             tuple(content["agents"]),
             int(content["observation_size"]),
             space_of(content["action_space"]),
-            space_of(content["policy_space"]),
             bool(content["has_action_mask"]),
             PolicyNetwork(**network),
             str(np.dtype(content["precision"])),
             dict(content["origin"]),
-            features_of(content.get("observation_features", ())),
-            dict(content.get("normalisation", {})),
+            features_of(content["observation_features"]),
+            dict(content["normalisation"]),
         )
         description._check()
         return description

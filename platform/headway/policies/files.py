@@ -208,8 +208,7 @@ def load_policy(source: str | Path, best: bool = False) -> Policy:
     A run's folder may have been copied from its store; its newest checkpoint is read, with torch, and acting
     needs numpy only. `best`: the policy with the highest mean return in the evaluations of the run's training
     instead of the newest. A file .npz needs nothing but numpy; .onnx needs onnxruntime. A TorchScript file is
-    a program and is refused; use `torch.jit.load` for files that you trust. No environment is created, except
-    for runs of earlier versions, which did not store its specification.
+    a program and is refused; use `torch.jit.load` for files that you trust. No environment is created.
 
     Warns of broken checkpoints that are skipped. Raises HeadwayError if the folder or file is not a policy's,
     is damaged, or lacks a checkpoint.

@@ -43,10 +43,9 @@ def require_parity(
         actions = acting.act_from(parameters, observed, hidden, None)[0]
     else:
         actions = acting.act(parameters, observed, None)[0]
-    space, policy_space = description.action_space, description.policy_space
+    space = description.action_space
     if isinstance(space, Box):
-        assert isinstance(policy_space, Box)
-        scale, offset = policy_space.scaling_to(space)
+        scale, offset = space.for_policies.scaling_to(space)
         expected = np.clip(scale * actions + offset, space.low, space.high)
         _require_close("actions", (evaluation.actions / scale)[alive], (expected / scale)[alive])
         return

@@ -41,7 +41,7 @@ def spec_of(content: Mapping[str, Any]) -> EnvSpec:
     values: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in content.items()
     }
-    features = features_of(content.get("observation_features", ()))
+    features = features_of(content["observation_features"])
     space = space_of(content["action_space"])
     return EnvSpec(**{**values, "action_space": space, "observation_features": features})
 

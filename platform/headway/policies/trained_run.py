@@ -1,16 +1,13 @@
 """Trained policies read from the folders of runs."""
 
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from headway.adapters.env_file import is_file_id
 from headway.algorithms import chosen_algo
-from headway.config.experiment import EnvConfig, ExperimentConfig
+from headway.config.experiment import ExperimentConfig
 from headway.config.schema import build
 from headway.contracts import DescribedPolicy, EnvSpec, HeadwayError, PolicyNetwork
-from headway.environments import chosen_env
 from headway.policies.description import Arrays, PolicyDescription
 from headway.policies.stored_spec import spec_of
 from headway.store.checkpoint import stored_parameters
@@ -43,7 +40,6 @@ class TrainedRun:
         """Read the newest checkpoint of the run in `folder`.
 
         `best`: the policy at the evaluation with the highest return instead of the newest.
-        The environment is prepared only for runs of earlier versions, which did not store its specification.
         Raises HeadwayError if the folder is not a run's or is incomplete, if it has no valid checkpoint, or
         if the algorithm's policy does not describe itself.
         """
@@ -51,28 +47,25 @@ class TrainedRun:
             raise HeadwayError(f"{folder} is not the folder of a run: it has no config.yaml")
         mapping, plan, record = read_configuration(folder), RunPlan.read(folder), RunRecord.read(folder)
         algo, algo_config = chosen_algo(build(ExperimentConfig, {"algo": mapping.get("algo", {})}).algo)
-        env = build(ExperimentConfig, {"env": mapping.get("env", {})}).env
         try:
-            spec = _prepared_spec(env) if plan.spec is None else spec_of(plan.spec)
+            spec = spec_of(plan.spec)
             plan.stack.index(record.seed)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise HeadwayError(f"{folder / PLAN} is damaged ({error}): restore it") from error
-        policy_spec = spec.for_policies if plan.scaled_actions else spec
-        acting = algo.acting_policy(algo_config, policy_spec)
+        acting = algo.acting_policy(algo_config, spec.for_policies)
         if not isinstance(acting, DescribedPolicy):
             raise HeadwayError(
                 f"policies of {record.algorithm} cannot be exported: its acting policy does not describe its "
                 "network, as headway.api.DescribedPolicy does"
             )
         iteration, parameters, notices = stored_parameters(
-            folder, acting, record.seed, plan.stack, env.id, best
+            folder, acting, record.seed, plan.stack, spec.name, best
         )
         arrays = {name: parameters[_STORED_NAMES.get(name, name)] for name in acting.network.array_names}
         description = PolicyDescription(
             spec.agents,
             spec.observation_size,
             spec.action_space,
-            policy_spec.action_space,
             spec.has_action_mask,
             acting.network,
             str(arrays["weight_0"].dtype),
@@ -81,17 +74,6 @@ class TrainedRun:
             _normalisation(acting.network, arrays, spec.observation_size),
         )
         return cls(description, arrays, acting, parameters, spec, notices)
-
-
-def _prepared_spec(config: EnvConfig) -> EnvSpec:
-    if is_file_id(config.id):
-        raise HeadwayError(
-            f"the run's plan lacks the specification of {config.id}, whose code is not run here"
-        )
-    env = chosen_env(config)
-    prepared = env.entry.prepare(build(env.entry.config, config.args, "env.args", config.id))
-    with closing(env.entry.make(prepared, 1)) as one:
-        return one.spec
 
 
 def _normalisation(network: PolicyNetwork, arrays: Arrays, size: int) -> dict[str, Any]:

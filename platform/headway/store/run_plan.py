@@ -17,16 +17,12 @@ class RunPlan:
 
     stack: tuple[int, ...]
     """Seeds that are trained together; the checkpoints of each contain the whole stack."""
-    workers: int | None
-    """Number of rollout workers, each with a snapshot in the checkpoint; None if not stored."""
-    block: int | None
-    """Environment copies whose actions are computed together, possibly fewer than configured; None if not
-    stored."""
-    scaled_actions: bool
-    """Whether policies act in the units of `EnvSpec.for_policies`; False for runs of earlier versions, whose
-    policies act in the environment's units."""
-    spec: Mapping[str, Any] | None
-    """`headway.policies.stored_spec.spec_json` of the environment; None for runs of earlier versions."""
+    workers: int
+    """Number of rollout workers, each with a snapshot in the checkpoint."""
+    block: int
+    """Environment copies whose actions are computed together, possibly fewer than configured."""
+    spec: Mapping[str, Any]
+    """`headway.policies.stored_spec.spec_json` of the environment."""
 
     @classmethod
     def read(cls, directory: Path) -> Self:
@@ -36,14 +32,9 @@ class RunPlan:
         try:
             return cls(
                 tuple(int(seed) for seed in plan["stack"]),
-                _number(plan.get("workers")),
-                _number(plan.get("rollout", {}).get("block")),
-                bool(plan.get("scaled_actions", False)),
-                plan.get("spec"),
+                int(plan["workers"]),
+                int(plan["rollout"]["block"]),
+                plan["spec"],
             )
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise HeadwayError(f"{path} is damaged ({error}): restore it") from error
-
-
-def _number(value: Any) -> int | None:  # noqa: ANN401 - any JSON value
-    return None if value is None else int(value)
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise HeadwayError(f"{path} is damaged or of an earlier version ({error}): restore it") from error

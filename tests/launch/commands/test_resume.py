@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from command_lines import output, refused
 from small_runs import SMALL, end_as, stored_rows
+from stored_runs import write_plan
 
 from headway.contracts.errors import HeadwayError
 from headway.store.energy_log import EnergyLog
@@ -74,7 +75,7 @@ def _stored(root: Path, seed: int, number: int, stack: tuple[int, ...] = (), **c
     }  # fmt: skip
     (directory / "run.json").write_text(json.dumps(record))
     (directory / "config.yaml").write_text(json.dumps(mapping))  # JSON is YAML
-    (directory / "plan.json").write_text(json.dumps({"stack": list(stack or (seed,)), "workers": 1}))
+    write_plan(directory, stack or (seed,))
     return StoredRun.find(root, directory.name)
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 from command_lines import output, refused, rows_of
-from stored_runs import keep
+from stored_runs import keep, write_plan
 
 from headway.events import Row
-from headway.store.atomic_files import write_json
 from headway.store.run_folder import RunRecord
 
 REWARDS = {0: 310.0, 1: 355.5, 2: None, 3: 290.0}
@@ -34,7 +33,7 @@ def store(tmp_path: Path) -> Path:
             {"evaluation": rows}, status="FINISHED" if reward else "KILLED", tags={"git.revision": "abc"},
             parameters={"algo.lr": "0.001" if seed else "3e-05", "algo.core": "gru"},
         )  # fmt: skip
-        write_json(directory / "plan.json", {"stack": [seed]})
+        write_plan(directory, [seed])
     return tmp_path
 
 

@@ -1,24 +1,22 @@
-"""Runs of versions whose policies acted in the environment's units go on doing so."""
+"""Stored configurations, and the policies of stored runs: newest, best, and not finite."""
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_lines import failed, output, refused, rows_of
-from small_runs import SMALL, end_as
+from command_lines import output, refused, rows_of
+from small_runs import SMALL
 
 from headway.api import load_policy
-from headway.contracts import Box, EnvSpec, HeadwayError
+from headway.contracts import Box, HeadwayError
 from headway.store.checkpoint import load_latest, save_checkpoint
 from headway.store.parquet_log import read_rows
 from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.commands.main import run
 from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
-from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
+from headway_launch.runner.stored_run import StoredRun
 
 TINY = (
     "run", "env=tracking", "algo=ippo", *SMALL, "backend=serial", "env.args.steps=8", "env_steps=256",
@@ -26,18 +24,6 @@ TINY = (
     "evaluation.rules=[]",
 )  # fmt: skip
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("empty_folder")]
-
-
-@contextmanager
-def _earlier_version() -> Iterator[None]:
-    """Policies act in the environment's units, and plans do not say so."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(EnvSpec, "for_policies", property(lambda spec: spec))
-        yield
-    for path in Path("runs").glob("*/*/plan.json"):
-        plan = json.loads(path.read_text())
-        del plan["scaled_actions"]
-        path.write_text(json.dumps(plan))
 
 
 @pytest.mark.parametrize("piece", ["[", "[ ", "- ", "{a: "])
@@ -66,34 +52,13 @@ def _returns(stored: StoredRun) -> list[float]:
     return [float(row["return"]) for row in rows if row["iteration"] == 4 and row["mode"] == "greedy"]
 
 
-def test_a_run_of_an_earlier_version_acts_in_the_units_it_was_trained_in() -> None:
-    with _earlier_version():
-        assert run(list(TINY)) == 0
-    stored = _only_run()
-    environment, returns = stored.experiment.prepare(), _returns(stored)
-    policy = stored_policy(stored, environment)
-    assert policy.plan.spec.action_space == Box((-2.0, -2.0), (2.0, 2.0))
-    root = stored.experiment.config.evaluation.seed
-    assert [row["return"] for row in policy_episodes(policy, root, 2, greedy=True)] == returns
-    # Back to the checkpoint before the last iteration, and on from there.
-    end_as(stored.directory, "KILLED", durable_iteration=3)
-    (stored.directory / CHECKPOINTS / "checkpoint-000004.pt").unlink()
-    [[job]] = jobs_to_resume([StoredRun.read(Path("runs"), stored.directory)])
-    assert job.training.spec == environment.spec
-    assert run(["resume", stored.record.run_id]) == 0
-    assert _returns(stored) == returns
-
-
-def test_a_run_acts_in_scaled_units_and_a_study_keeps_one_kind() -> None:
+def test_a_stored_policy_acts_in_scaled_units() -> None:
     assert run(list(TINY)) == 0
     stored = _only_run()
     policy = stored_policy(stored, stored.experiment.prepare())
     assert policy.plan.spec.action_space == Box((-1.0, -1.0), (1.0, 1.0))
     root = stored.experiment.config.evaluation.seed
     assert [row["return"] for row in policy_episodes(policy, root, 2, greedy=True)] == _returns(stored)
-    with _earlier_version():
-        pass
-    assert "set another study name to train all again" in failed("sweep", *TINY[1:], "seed=0,1")
 
 
 def test_the_best_policy_is_played_and_exported_in_the_place_of_the_newest() -> None:

@@ -1,30 +1,26 @@
-"""Plans of runs that this version or an earlier one stored, and damaged ones."""
+"""Plans in run folders, and damaged ones."""
 
 import json
 from pathlib import Path
 from typing import Any
 
 import pytest
+from stored_runs import write_plan
 
 from headway.contracts import HeadwayError
 from headway.store.run_plan import RunPlan
 
 
-def _plan(folder: Path, **content: Any) -> RunPlan:  # noqa: ANN401 - any JSON value
-    (folder / "plan.json").write_text(json.dumps(content))
-    return RunPlan.read(folder)
-
-
-def test_what_earlier_versions_did_not_store_is_unknown(tmp_path: Path) -> None:
-    assert _plan(tmp_path, stack=[3, 4]) == RunPlan((3, 4), None, None, False, None)
-    stored = _plan(tmp_path, stack=[3], workers=2, rollout={"block": 8}, scaled_actions=True, spec={"a": 1})
-    assert stored == RunPlan((3,), 2, 8, True, {"a": 1})
-
-
 @pytest.mark.parametrize(
-    "content",
-    [{}, {"stack": 2**63}, {"stack": ["a"]}, {"stack": [1], "workers": []}, {"stack": [1], "rollout": 3}],
+    ("key", "value"), [("stack", 2**63), ("stack", ["a"]), ("workers", []), ("workers", None), ("rollout", 3)]
 )
-def test_a_damaged_plan_is_one_line(content: dict[str, Any], tmp_path: Path) -> None:
-    with pytest.raises(HeadwayError, match=r"plan\.json is damaged \(.*\): restore it$"):
-        _plan(tmp_path, **content)
+def test_a_damaged_plan_is_one_line(key: str, value: object, tmp_path: Path) -> None:
+    write_plan(tmp_path, [3, 4], {"a": 1})
+    assert RunPlan.read(tmp_path) == RunPlan((3, 4), 1, 1, {"a": 1})
+    plan: dict[str, Any] = json.loads((tmp_path / "plan.json").read_text())
+    for damaged in ({**plan, key: value}, {part: plan[part] for part in plan if part != key}):
+        (tmp_path / "plan.json").write_text(json.dumps(damaged))
+        with pytest.raises(
+            HeadwayError, match=r"plan\.json is damaged or of an earlier version \(.*\): restore it$"
+        ):
+            RunPlan.read(tmp_path)
