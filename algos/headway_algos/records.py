@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, get_type_hints
 
 from headway_algos.components import KINDS, component, names
 from headway_algos.config import AlgoConfig
-from headway_algos.migration import OBSOLETE_KEYS, without_effect
+from headway_algos.migration import OBSOLETE_KEYS
 from headway_algos.on_policy.critics.config import CriticConfig
 from headway_algos.recipes import Recipe, recipes
 
@@ -40,14 +40,6 @@ def rollout(recipe: Recipe, config: AlgoConfig) -> Mapping[str, int]:
 def obsolete_keys(recipe: Recipe) -> dict[str, Any]:
     """Return the keys without effect that earlier versions stored: see `AlgoEntry.obsolete_keys`."""
     return {**OBSOLETE_KEYS, **recipe.fixed}
-
-
-def stored(recipe: Recipe, kept: Mapping[str, Any]) -> dict[str, Any]:
-    """Drop stored keys of other algorithms and reset values that had no effect: see `AlgoEntry.stored`."""
-    keys_of = config_class(recipe, kept)
-    keys, obsolete = {each.name for each in fields(keys_of)}, obsolete_keys(recipe)
-    kept_keys = {key: value for key, value in kept.items() if key in keys or key not in obsolete}
-    return {**kept_keys, **without_effect(kept_keys, keys_of)}
 
 
 @cache

@@ -117,7 +117,6 @@ def entry(recipe: Recipe) -> AlgoEntry:
         preload=recipe.preload,
         kernels=KERNELS,
         record=partial(records.config_class, recipe),
-        stored=partial(records.stored, recipe),
         obsolete_keys=records.obsolete_keys(recipe),
         rollout=partial(records.rollout, recipe),
     )

@@ -1,9 +1,8 @@
 """Configuration of the bus environment, with all its defaults."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, get_args
+from typing import Literal, get_args
 
 from headway.contracts.checks import require, require_at_least, require_key, require_value
 
@@ -31,8 +30,6 @@ def _require_above(low: float, **values: float) -> None:
 @dataclass(frozen=True)
 class RewardConfig:
     """Weights and shape of the reward r = a1 q + a2 e + a3 m + a4 c, paid once per control interval."""
-
-    RENAMED: ClassVar[Mapping[str, str]] = {"shared": "scope: team (for true), line or own (for false)"}
 
     service: float = 0.4
     """a1: weight of the service component q, which compares the number of waiting passengers with the number

@@ -1,8 +1,7 @@
 """Configuration of the published bus environment, with all its defaults."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Literal
 
 from headway.contracts.checks import require, require_at_least, require_value
 from headway_envs.bus.config import SCENARIOS
@@ -58,10 +57,6 @@ class RewardConfig:
 @dataclass(frozen=True)
 class BusPublishedConfig:
     """Buses that shuttle on fixed routes. Each has its own clock; passengers are not simulated."""
-
-    RENAMED: ClassVar[Mapping[str, str]] = {
-        "agents_per_route": "unnecessary: each copy draws a route per bus"
-    }
 
     scenario: str = "corridor"
     """Source of routes, link times, loads and boardings: `line`, `corridor`, `district`, `city`, or the path

@@ -73,8 +73,7 @@ def build(
 
     For messages, `path` is the full key of the mapping, `of` names the owner of its keys, and `elsewhere`
     maps an unknown key to a remark on where it does exist, or to None. Records nest. Whole floats (1e6) are
-    accepted as int and ints as float; strings are never accepted as numbers, nor booleans as ints. The class
-    variable `RENAMED` of a record maps keys of earlier versions to a hint at their new names.
+    accepted as int and ints as float; strings are never accepted as numbers, nor booleans as ints.
 
     Raises HeadwayError for an unknown or missing key, a value of the wrong type, a value that the record's
     `__post_init__` rejects, and the key `_target_` anywhere.
@@ -84,8 +83,6 @@ def build(
     fields = {field.name: field for field in dataclasses.fields(checked) if field.init}
     for key in mapping:
         if key not in fields:
-            if now := getattr(record_class, "RENAMED", {}).get(key):
-                raise HeadwayError(f"{_join(path, str(key))}: '{key}' is now {now}")
             owner = of or path or "the experiment"
             known = elsewhere(str(key)) if elsewhere else None
             hint = known or suggestion(str(key), fields, f"{path}." if path else "")

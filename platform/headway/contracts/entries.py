@@ -181,9 +181,6 @@ class AlgoEntry:
     """(given hyper-parameters) -> frozen dataclass of all of them, for algorithms in which some values decide
     which keys exist; None: always `config`."""
 
-    stored: Callable[[Mapping[str, Any]], Mapping[str, Any]] = _identity
-    """(hyper-parameters stored by an earlier version) -> the hyper-parameters without those that had no
-    effect."""
     obsolete_keys: Mapping[str, Any] = field(default_factory=dict)
     """Keys without effect that earlier versions stored, and their values. They stay in the hash that
     identifies a study's cells, so that old runs keep their cells."""

@@ -63,18 +63,13 @@ def require_small_yaml(text: str) -> None:
 def upgraded(mapping: Mapping[str, Any]) -> dict[str, Any]:
     """Return a configuration stored by an earlier version in the form of this version.
 
-    Hyper-parameters that had no effect are dropped, and newer ones are set to the value that reproduces the
-    old behaviour.
+    Newer hyper-parameters are set to the value that reproduces the old behaviour.
     """
     store = mapping.get("store")
     if isinstance(store, Mapping) and isinstance(uri := store.get("tracking_uri"), str):
         mapping = {**mapping, "store": {**store, "tracking_uri": without_password(uri)}}
-    backend = mapping.get("backend")
-    if isinstance(backend, Mapping) and "patience_s" in backend:
-        backend = {**backend, "worker_timeout_s": backend["patience_s"]}  # its former name
-        mapping = {**mapping, "backend": {key: backend[key] for key in backend if key != "patience_s"}}
     algo = mapping.get("algo")
     entry = algo_entries().get(algo.get("name", "")) if isinstance(algo, Mapping) else None
     if entry is None or not isinstance(algo, Mapping):
         return dict(mapping)
-    return {**mapping, "algo": {**getattr(entry.config, "VALUES_BEFORE", {}), **entry.stored(algo)}}
+    return {**mapping, "algo": {**getattr(entry.config, "VALUES_BEFORE", {}), **algo}}

@@ -139,12 +139,6 @@ def test_a_value_from_a_file_can_be_removed() -> None:
     assert removed == compose(["experiment=matrix_nine", "~rollout.steps=16"])
 
 
-def test_a_key_of_an_earlier_version_is_named_with_its_replacement() -> None:
-    line = r"^env.args.reward.shared: 'shared' is now scope: team \(for true\), line or own \(for false\)$"
-    with pytest.raises(HeadwayError, match=line):
-        compose(["env=bus", "env.args.reward.shared=false"])
-
-
 @pytest.mark.parametrize(
     ("override", "parts"),
     [
