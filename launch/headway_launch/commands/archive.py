@@ -82,7 +82,11 @@ def _files(
     from headway_launch.console.progress_display import CountedProgress
 
     yield "README.md", _readme(runs, notices, arguments).encode()
-    yield "LICENCE.txt", _licence(arguments.licence).encode()
+    address = f"https://spdx.org/licenses/{arguments.licence}.html"
+    yield (
+        "LICENCE.txt",
+        f"The data in this archive are licensed under {arguments.licence}: {address}\n".encode(),
+    )
     own = {row.run_id for row in runs.rows}
     rows = [*runs.rows, *(row for row in parents if row.run_id not in own)]
     kept = {row.run_id for row in parents} | (own if arguments.checkpoints else set())
@@ -157,7 +161,3 @@ def _readme(runs: "RunSelection", notices: Sequence[str], arguments: argparse.Na
         *(["", *notices] if notices else []),
     ]
     return "\n".join(lines) + "\n"
-
-
-def _licence(name: str) -> str:
-    return f"The data in this archive are licensed under {name}: https://spdx.org/licenses/{name}.html\n"

@@ -35,12 +35,7 @@ def share_cores(
     """
     fixed = [(job, _fixed_workers(job) or 1) for job in jobs]
     if cluster_cpus is None:
-        most = max(
-            [
-                1,
-                *(cores_taken(job.training, workers, node_cpus) for job, workers in fixed),
-            ]
-        )
+        most = max([1, *(cores_taken(job.training, workers, node_cpus) for job, workers in fixed)])
     else:
         most = max([1, *(workers for _, workers in fixed)])
     for_workers = cores if cluster_cpus is None else cluster_cpus

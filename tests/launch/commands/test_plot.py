@@ -79,6 +79,8 @@ def test_a_bare_name_is_a_metric_of_the_greedy_evaluation(tmp_path: Path) -> Non
     assert run([*words, "--metric", "wait"]) == 0
     assert "evaluation greedy: wait" in (tmp_path / "drawn.svg").read_text()
     assert "did you mean evaluation_greedy/wait?" in refused(*words, "--metric", "wiat")
+    absent = ("--metric", "wait", "--output", str(tmp_path / "absent" / "x.png"))
+    assert "absent/x.png cannot be written" in refused(*words, *absent)
 
 
 def test_evaluations_at_different_steps_are_not_put_together(tmp_path: Path) -> None:

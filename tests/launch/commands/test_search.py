@@ -1,8 +1,6 @@
-"""`headway search` finds the best candidates by real runs; `headway plot` and `compare` show its study."""
+"""`headway search` finds the best candidates by real runs; `headway compare` shows its study."""
 
 import io
-import subprocess
-import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from itertools import combinations
@@ -10,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from command_lines import failed, output, refused, rows_of
+from command_lines import output, refused
 
 from headway.stats.best_of import expected_best
 from headway.store.index import RunIndex
@@ -93,14 +91,6 @@ def test_the_rest_of_a_search_is_no_study_to_resume(searched: Searched) -> None:
 
 
 @pytest.mark.slow
-def test_a_study_is_drawn(searched: Searched, tmp_path: Path) -> None:
-    picture = tmp_path / "curves.png"
-    where = ("--store", str(searched.root), "--output", str(picture))
-    assert run(["plot", "search_toy_tracking", *where]) == 0
-    assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
 def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched) -> None:
     shown = output("compare", "search_toy_tracking", "--store", str(searched.root), "--episodes", "4")
     header, *lines = [line.split("\t") for line in shown.out.splitlines() if "\t" in line]
@@ -123,40 +113,11 @@ def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched) -> No
     assert "1 seed: the interval is over episodes" in shown.err
 
 
-@pytest.mark.slow
-def test_rules_to_compare_with_are_chosen(searched: Searched) -> None:
-    words = ("--store", str(searched.root), "--episodes", "2", "--rules", "random")
-    header, *rows = rows_of("compare", "search_toy_tracking", *words)
-    rows = [row for row in rows if len(row) == len(header)]
-    assert header[4] == "minus random"
-    assert [row[1] for row in rows if row[1].startswith("rule ")] == ["rule random"]
-
-
-@pytest.mark.slow
-def test_the_installed_program_tells_a_wrong_search_in_one_line() -> None:
-    program = str(Path(sys.executable).with_name("headway"))
-    done = subprocess.run([program, "search", "bus_lin"], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 2
-    assert done.stderr.startswith("headway: there is no search 'bus_lin'; did you mean bus_line?")
-    assert done.stderr.count("\n") == 1
-
-
 def test_a_search_that_has_not_begun_is_not_shown(tmp_path: Path) -> None:
     line = refused("search", "toy_tracking", f"store.root={tmp_path / 'runs'}", "--show")
     assert "search toy_tracking has not begun" in line
     assert not (tmp_path / "runs").exists()
-
-
-@pytest.mark.slow
-def test_wrong_words_for_a_plot_are_one_line(searched: Searched, tmp_path: Path) -> None:
-    """After a line on the runs that have not finished."""
-    absent = str(tmp_path / "absent" / "x.png")
-    for words, line in (
-        (("search_toy_matri",), "no study 'search_toy_matri'"),
-        (("search_toy_tracking", "--metric", "evaluation_greedy/retrun"), "evaluation_greedy/return"),
-        (("search_toy_tracking", "--output", absent), "cannot be written"),
-    ):
-        assert line in failed("plot", *words, "--store", str(searched.root)).splitlines()[-1]
+    assert "there is no search 'bus_lin'; did you mean bus_line?" in refused("search", "bus_lin")
 
 
 def test_the_order_of_algorithms_is_told_per_number_of_candidates() -> None:
