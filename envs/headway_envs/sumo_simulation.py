@@ -53,16 +53,14 @@ def libsumo() -> Any:  # noqa: ANN401 - libsumo has no types
 class Simulation:
     """One simulation, reloaded for every episode. Not picklable, and bound to the thread that starts it."""
 
-    def __init__(self, network: str, routes: str, options: Mapping[str, str]) -> None:
-        """`network`: path of the network file; `routes`: content of a SUMO route file; `options`: SUMO's
-        other options by name, except the seed."""
-        self._routes = routes
+    def __init__(self, network: str, options: Mapping[str, str]) -> None:
+        """`network`: path of the network file; `options`: SUMO's other options by name, except the seed."""
         self._options = ["-n", network]
         self._options += [word for name, value in options.items() for word in (f"--{name}", value)]
         self.sumo = libsumo()
 
-    def begin(self, seed: int) -> None:
-        """Load the network and start an episode.
+    def begin(self, seed: int, routes: str) -> None:
+        """Load the network and start an episode; `routes`: content of a SUMO route file.
 
         Raises HeadwayError if another environment holds this process's simulation, or if SUMO cannot load the
         network.
@@ -75,10 +73,10 @@ class Simulation:
                 "first, or create this one in another process"
             )
         _owner = weakref.ref(self)
-        with NamedTemporaryFile("w", suffix=".rou.xml", encoding="utf-8") as routes:
-            routes.write(self._routes)
-            routes.flush()
-            options = ["-r", routes.name, "--seed", str(seed), *self._options]
+        with NamedTemporaryFile("w", suffix=".rou.xml", encoding="utf-8") as file:
+            file.write(routes)
+            file.flush()
+            options = ["-r", file.name, "--seed", str(seed), *self._options]
             try:
                 # Reloading is faster than closing and starting again.
                 if self.sumo.simulation.isLoaded():

@@ -65,9 +65,10 @@ class Traffic:
         self._entered: Counter[str] = Counter()
         self._handed_over: int | None = None
 
-    def begin(self, seed: int) -> None:
-        """Start an episode on empty roads, with traffic lights off."""
-        self.simulation.begin(seed)
+    def begin(self, seed: int, routes: str) -> None:
+        """Start an episode on empty roads, with traffic lights off; `routes`: content of a SUMO route
+        file."""
+        self.simulation.begin(seed, routes)
         self.vehicles, self.braking = {}, []
         self._free = list(range(self.config.slots))
         self._entered.clear()

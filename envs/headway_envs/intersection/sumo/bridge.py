@@ -86,16 +86,13 @@ class SumoBridge:
         self._draw = np.random.default_rng(0)
         self._targets = np.zeros(config.slots)
 
-    def begin(self, seed: int, draw: np.random.Generator) -> None:
-        """Start an episode on an empty road; `draw` supplies the noise of human drivers."""
-        self.simulation.begin(seed)
+    def begin(self, seed: int, routes: str, draw: np.random.Generator) -> None:
+        """Start an episode on an empty road; `routes`: content of a SUMO route file; `draw` supplies the
+        noise of human drivers."""
+        self.simulation.begin(seed, routes)
         self.roster.clear()
         self._draw, self._pending = draw, 0
         self._handed_over = None
-
-    def close(self) -> None:
-        """Close the simulation."""
-        self.simulation.close()
 
     def hand_over(self, speed_mode: int) -> None:
         """Let SUMO drive all vehicles as humans with the given speed mode, ignoring actions, until the
