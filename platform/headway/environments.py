@@ -34,18 +34,20 @@ def chosen_env(config: EnvConfig) -> ChosenEnv:
     """
     options = {key: value for key in _MODULE_KEYS if (value := getattr(config, key)) is not None}
     external = is_external(config.id)
-    if options and not external:
+    own = None if external else env_entry(config.id)
+    refused = options if own is None or own.digest is None else options.keys() - {"file_digest"}
+    if refused and not external:
         raise HeadwayError(
-            f"env.{next(iter(options))} is for PettingZoo and Gymnasium environments only; remove it, "
+            f"env.{next(iter(refused))} is for PettingZoo and Gymnasium environments only; remove it, "
             f"since {config.id} defines it itself"
         )
     if is_file_id(config.id):
         options.setdefault("file_digest", EnvFile.read(config.id).digest)
-    elif config.file_digest is not None:
+    elif external and config.file_digest is not None:
         raise HeadwayError(
             f"env.file_digest is for Python files only; remove it, since {config.id} is not one"
         )
-    entry = training = _module_entry(config, config.args) if external else env_entry(config.id)
+    entry = training = own or _module_entry(config, config.args)
     if external and config.training_args:
         training = _module_entry(config, {**config.args, **config.training_args})
     if not config.wrappers:

@@ -9,6 +9,8 @@ from headway.contracts.checks import require_at_least, require_key
 
 FOUR_WAY = "four_way"
 """Name of the packaged network."""
+DEFAULT_DEMAND = "700x700"
+SUMO_CONFIGURATION = ".sumocfg"
 MAX_VPH = 3_600
 """Maximum demand per road and direction, vehicles per hour."""
 
@@ -19,13 +21,14 @@ class JunctionsConfig:
     (HDVs)."""
 
     network: str = FOUR_WAY
-    """Path of a SUMO network (.net.xml), or `four_way`: two roads that cross, with one lane per direction,
-    100 m long, 13 m/s, without turns. Traffic lights in the network are off; the rules `signal` and
-    `max_pressure` switch them on."""
-    demand: str = "700x700"
+    """Path of a SUMO network (.net.xml) or of a SUMO configuration (.sumocfg) that names one, or `four_way`:
+    two roads that cross, with one lane per direction, 100 m long, 13 m/s, without turns. Traffic lights in
+    the network are off; the rules `signal` and `max_pressure` switch them on."""
+    demand: str | tuple[str, ...] = DEFAULT_DEMAND
     """Path of a SUMO route file (.rou.xml), or, with network `four_way`, vehicles per hour and direction on
     the horizontal and the vertical road. These enter evenly spaced; a vehicle without room to enter is
-    dropped."""
+    dropped. A list, such as `[400x850,700x700]` or `[am.rou.xml,pm.rou.xml]`: each episode draws one of
+    them. The default stands for the routes of a .sumocfg, if `network` is one."""
     automated_share: float = 0.333
     """Share of vehicles that are automated, in (0, 1]: every n-th of those that enter on an edge."""
     automated_type: str = ""
@@ -55,19 +58,25 @@ class JunctionsConfig:
     """Cost of each vehicle in a collision, in vehicles that leave at the end of their route."""
 
     def __post_init__(self) -> None:
-        for key in ("network", "demand"):
-            require_value(self, key, bool(getattr(self, key)), "must not be empty")
+        require_value(self, "network", bool(self.network), "must not be empty")
+        require_value(self, "demand", bool(self.demand) and all(self.demand), "must not be empty")
+        vph = self.vph
         if self.network == FOUR_WAY:
-            vph = self.vph
             require_value(
                 self,
                 "demand",
-                vph is None or all(0 < value <= MAX_VPH for value in vph),
+                all(0 < value <= MAX_VPH for pair in vph for value in pair),
                 f"must have numbers between 1 and {MAX_VPH:,}",
+            )
+            require_value(
+                self,
+                "demand",
+                len(vph) in (0, len(self.demands)),
+                "must be either route files or vehicles per hour, not both",
             )
         else:
             require_value(
-                self, "demand", self.vph is None, "must be a route file (.rou.xml) with a network of your own"
+                self, "demand", not vph, "must be a route file (.rou.xml) with a network of your own"
             )
         require_value(self, "automated_share", 0 < self.automated_share <= 1, "must lie in (0, 1]")
         require_value(self, "step_s", 0 < self.step_s <= 10, "must lie in (0, 10]")
@@ -80,7 +89,15 @@ class JunctionsConfig:
             require_key(0 <= mode < 128, key, f"must lie between 0 and 127, not {mode}")
 
     @property
-    def vph(self) -> tuple[int, int] | None:
-        """Vehicles per hour and direction on the horizontal and the vertical road; None: a route file."""
-        found = re.fullmatch(r"(\d+)x(\d+)", self.demand)
-        return None if found is None else (int(found[1]), int(found[2]))
+    def demands(self) -> tuple[str, ...]:
+        """The demands from which episodes draw; empty: the routes of the .sumocfg."""
+        if self.demand == DEFAULT_DEMAND and self.network.endswith(SUMO_CONFIGURATION):
+            return ()
+        return (self.demand,) if isinstance(self.demand, str) else self.demand
+
+    @property
+    def vph(self) -> tuple[tuple[int, int], ...]:
+        """Vehicles per hour and direction on the horizontal and the vertical road, of each demand that is not
+        a route file."""
+        found = [re.fullmatch(r"(\d+)x(\d+)", demand) for demand in self.demands]
+        return tuple((int(match[1]), int(match[2])) for match in found if match is not None)

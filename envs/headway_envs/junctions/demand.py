@@ -1,11 +1,13 @@
 """Traffic demand: that of the packaged network, and route files of one's own."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
 from headway.contracts import HeadwayError
 from headway_envs.junctions.config import JunctionsConfig
-from headway_envs.junctions.network import APPROACHES, Network, opposite, read_xml
+from headway_envs.junctions.files import read_xml
+from headway_envs.junctions.network import APPROACHES, Network, opposite
 
 _TYPE = (
     '<vType id="car" carFollowModel="IDM" accel="2.6" decel="4.5" tau="1" minGap="2.5" maxSpeed="30" '
@@ -15,10 +17,11 @@ _TYPE = (
 _DEPARTING = ("vehicle", "trip", "flow")
 
 
-def routes_xml(config: JunctionsConfig, network: Network) -> str:
-    """Return the content of a SUMO route file. Raises HeadwayError for a file that does not fit the
-    network."""
-    return _read(config, network) if config.vph is None else _even_flows(*config.vph)
+def routes_xml(config: JunctionsConfig, network: Network, files: Sequence[Path]) -> tuple[str, ...]:
+    """Return the content of a SUMO route file for each demand; `files`: route files, if the demand has any.
+    Raises HeadwayError for a file that does not fit the network."""
+    own = tuple(_read(path, config.automated_type, network) for path in files)
+    return own or tuple(_even_flows(*vph) for vph in config.vph)
 
 
 def _even_flows(horizontal: int, vertical: int) -> str:
@@ -34,16 +37,15 @@ def _even_flows(horizontal: int, vertical: int) -> str:
     return "\n".join([*lines, "</routes>\n"])
 
 
-def _read(config: JunctionsConfig, network: Network) -> str:
-    path = Path(config.demand)
+def _read(path: Path, automated_type: str, network: Network) -> str:
     root = read_xml(path, "demand", ("routes", "additional"))
     if not any(True for tag in _DEPARTING for _ in root.iter(tag)):
         raise HeadwayError(f"env.args.demand: {path} has no vehicles: no <vehicle>, <trip> or <flow>")
     types = {each.attrib.get("id") for each in root.iter("vType")}
-    if config.automated_type and config.automated_type not in types:
+    if automated_type and automated_type not in types:
         named = ", ".join(sorted(name for name in types if name)) or "none"
         raise HeadwayError(
-            f"env.args.automated_type: {path} has no vType '{config.automated_type}'; it has: {named}"
+            f"env.args.automated_type: {path} has no vType '{automated_type}'; it has: {named}"
         )
     for element in root.iter():
         edges = element.attrib.get("edges", "").split() if element.tag == "route" else []

@@ -13,6 +13,7 @@ ENTRY = EnvEntry(
     config=JunctionsConfig,
     make=Lazy("headway_envs.junctions.env:JunctionsBatchedEnv"),
     prepare=Lazy("headway_envs.junctions.prepared:prepare"),
+    digest=Lazy("headway_envs.junctions.files:digest"),
     parallel_env=Lazy("headway_envs.junctions.parallel:JunctionsSlotsParallelEnv"),
     rules={
         "human": RuleEntry(

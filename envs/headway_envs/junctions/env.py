@@ -29,7 +29,7 @@ class JunctionsBatchedEnv(SumoEnv):
     def __init__(self, prepared: Prepared, copies: int) -> None:
         """Allocate arrays; `reset` loads SUMO. Raises HeadwayError unless `copies` is 1."""
         options = {**COMMON_OPTIONS, "step-length": str(prepared.config.step_s)}
-        if prepared.config.vph is not None:
+        if prepared.config.vph:
             options["max-depart-delay"] = options["step-length"]
         super().__init__("the junctions", copies, prepared.network.path, options)
         config = self.config = prepared.config
@@ -55,6 +55,8 @@ class JunctionsBatchedEnv(SumoEnv):
         self._first = np.zeros(approaches, np.int64)
         self._traffic: Traffic | None = None
         self.counters = EpisodeMetrics(config)
+        self.demand = 0
+        """Number of the present episode's demand in `Prepared.routes`."""
 
     @property
     def traffic(self) -> Traffic:
@@ -90,7 +92,9 @@ class JunctionsBatchedEnv(SumoEnv):
         self.counters = EpisodeMetrics(self.config)
         seed, episode = self.episode
         draw = generator(seed, "junctions", episode)
-        self.traffic.begin(int(draw.integers(2**31 - 1)), self.prepared.routes)
+        sumo_seed, routes = int(draw.integers(2**31 - 1)), self.prepared.routes
+        self.demand = int(draw.integers(len(routes)))
+        self.traffic.begin(sumo_seed, routes[self.demand])
         for _ in range(round(self.config.lead_in_s / self.config.step_s)):
             self.traffic.advance()
         self._observe()

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
 from headway_envs.junctions.config import FOUR_WAY
+from headway_envs.junctions.files import read_xml
 
 APPROACHES = ("north", "east", "south", "west")
 """Approaches of the packaged network, clockwise."""
 ROAD_M, SPEED_LIMIT, GREEN_S = 100.0, 13.0, 25.0
 NO_APPROACH = -1
 """Number of the approach of a lane from which no junction is reached."""
-_FOLDER = Path(__file__).with_name("networks")
 
 
 def opposite(approach: str) -> str:
@@ -101,13 +101,12 @@ class Network:
     """Traffic lights by name."""
 
     @classmethod
-    def read(cls, name: str) -> "Network":
-        """Read a network by name or path.
+    def read(cls, path: Path) -> "Network":
+        """Read a network.
 
         Raises HeadwayError for a file that is no SUMO network, or one without a junction or without lanes
         inside its junctions.
         """
-        path = _FOLDER / f"{name}.net.xml" if name == FOUR_WAY else Path(name)
         root = read_xml(path, "network", ("net",))
         lanes = {lane.attrib["id"]: lane.attrib for edge in root.iter("edge") for lane in edge.iter("lane")}
         ways = [_Way(way.attrib) for way in root.iter("connection")]
@@ -142,22 +141,6 @@ class Network:
             turns=frozenset(turn for turn in turns if not turn[0].startswith(":")),
             signals=_signals(root, ways),
         )
-
-
-def read_xml(path: Path, key: str, roots: Sequence[str]) -> ElementTree.Element:
-    """Return the root element of a SUMO file, which must be one of `roots`. Raises HeadwayError, naming the
-    argument `key`, for any other file."""
-    try:
-        root = ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise HeadwayError(f"env.args.{key}: cannot read {path}: {error.strerror}") from error
-    except ElementTree.ParseError as error:
-        raise HeadwayError(f"env.args.{key}: {path} is not XML: {error}") from error
-    if root.tag not in roots:
-        raise HeadwayError(
-            f"env.args.{key}: {path} must be a SUMO file <{roots[0]}>, not one of <{root.tag}>"
-        )
-    return root
 
 
 class _Way:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from headway.contracts import HeadwayError
 from headway_envs.junctions.config import JunctionsConfig
 from headway_envs.junctions.demand import routes_xml
+from headway_envs.junctions.files import Files
 from headway_envs.junctions.network import Network
 from headway_envs.sumo_simulation import require_sumo
 
@@ -15,8 +16,9 @@ class Prepared:
 
     config: JunctionsConfig
     network: Network
-    routes: str
-    """Content of the SUMO route file."""
+    routes: tuple[str, ...]
+    """Content of the SUMO route file of each demand."""
+    notices: tuple[str, ...] = ()
 
     @property
     def approaches(self) -> int:
@@ -28,11 +30,12 @@ def prepare(config: JunctionsConfig) -> Prepared:
     """Read the network and the demand. Raises HeadwayError if they cannot be used or SUMO is not
     installed."""
     require_sumo()
-    network = Network.read(config.network)
+    files = Files.of(config)
+    network = Network.read(files.network)
     most = network.others.shape[1] + 1
     if config.approaches is not None and config.approaches < most:
         raise HeadwayError(
             f"env.args.approaches must be at least {most} for network {config.network}, the number of lanes "
             f"towards one of its junctions, not {config.approaches}"
         )
-    return Prepared(config, network, routes_xml(config, network))
+    return Prepared(config, network, routes_xml(config, network, files.demands), files.notices)

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw
 
 from headway.contracts import BatchedEnv
 from headway_envs.junctions.env import JunctionsBatchedEnv
-from headway_envs.junctions.network import read_xml
+from headway_envs.junctions.files import read_xml
 from headway_envs.junctions.prepared import Prepared
 
 Point = tuple[float, float]

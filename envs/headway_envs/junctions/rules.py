@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Observations
 from headway_envs.junctions.env import JunctionsBatchedEnv
+from headway_envs.junctions.network import Signal
 from headway_envs.junctions.prepared import Prepared
 from headway_envs.junctions.traffic import ACCELERATIONS
 
@@ -63,14 +64,10 @@ class FixedSignal:
     def __init__(self, prepared: Prepared, best: bool = False) -> None:
         """`best`: the greens that Yan and Wu found best for the demand, where they are known, instead of
         those in the network's file."""
-        self.prepared = prepared
-        self._signals = dict(prepared.network.signals)
-        greens = BEST_GREENS_S.get(prepared.config.vph or (0, 0))
-        if best and greens is not None:
-            horizontal, vertical = greens
-            [(name, signal)] = self._signals.items()
-            phases = tuple(zip((vertical, horizontal), (state for _, state in signal.phases), strict=True))
-            self._signals[name] = replace(signal, phases=phases)
+        self.prepared, signals = prepared, prepared.network.signals
+        vph = prepared.config.vph if best else ()
+        self._signals = [_with_greens(signals, BEST_GREENS_S.get(pair)) for pair in vph] or [signals]
+        """Traffic lights of each demand, or those of all."""
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
         """Return actions (1, N), which the environment ignores."""
@@ -83,11 +80,21 @@ class FixedSignal:
     def _states(self, env: JunctionsBatchedEnv) -> dict[str, str]:
         """Return the present state of each traffic light."""
         found = {}
-        for name, signal in self._signals.items():
+        for name, signal in self._signals[env.demand % len(self._signals)].items():
             ends = np.cumsum([length for length, _ in signal.phases])
             place = (env.steps_taken * env.config.step_s - signal.offset) % ends[-1]
             found[name] = signal.phases[int(np.searchsorted(ends, place, side="right"))][1]
         return found
+
+
+def _with_greens(signals: Mapping[str, Signal], greens: tuple[float, float] | None) -> Mapping[str, Signal]:
+    """Return the one signal of the packaged network with other greens of the horizontal and the vertical
+    road, s; None: unchanged."""
+    if greens is None:
+        return signals
+    [(name, signal)] = signals.items()
+    phases = zip(reversed(greens), (state for _, state in signal.phases), strict=True)
+    return {name: replace(signal, phases=tuple(phases))}
 
 
 class VirtualSignal(FixedSignal):
@@ -103,7 +110,7 @@ class VirtualSignal(FixedSignal):
         super().__init__(prepared, best=True)
         self._links = {
             before: [(name, place) for place, link in enumerate(signal.links) if link[0] == before]
-            for name, signal in self._signals.items()
+            for name, signal in prepared.network.signals.items()
             for before, _ in signal.links
         }
 

@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from headway.adapters.env_file import absolute_id, is_file_id
+from headway.adapters.env_file import EnvFile, absolute_id, is_file_id
 from headway.algorithms import chosen_algo
 from headway.config.experiment import NO_PRESET, EnvConfig, ExperimentConfig
 from headway.config.schema import (
@@ -123,6 +123,27 @@ class Experiment:
         chosen = self.config.evaluation.rules
         return tuple(self.env.rules) if chosen is None else chosen
 
+    @property
+    def file_digest(self) -> str | None:
+        """Digest of the files that `env` names, as they are now; None: none, or they cannot be read."""
+        if is_file_id(self.config.env.id):
+            return EnvFile.read(self.config.env.id).digest
+        return _data_digest(self.env, self.env_config, *self.training_env_configs)
+
+    def require_unchanged_files(self) -> None:
+        """Raise HeadwayError if the environment's files have changed since their digest was stored.
+
+        Training would otherwise store its curves under the digest of other files.
+        """
+        stored = self.config.env.file_digest
+        if stored in (None, self.file_digest):
+            return
+        env = self.config.env.id
+        raise HeadwayError(
+            f"{env if is_file_id(env) else f'a file of env={env}'} has changed since its digest {stored} was "
+            "stored: restore the file to continue, or train the new version as another cell"
+        )
+
     def prepare(self, known: "dict[str, PreparedEnv] | None" = None) -> PreparedEnv:
         """Return the prepared environment and print its notices.
 
@@ -180,7 +201,11 @@ class Experiment:
         large = [_LARGE.format(self.config.env.id, spec.observation_size)] * (
             spec.observation_size > _LARGE_OBSERVATION
         )
-        for line in dict.fromkeys((*notices_of(prepared), *chain(*map(notices_of, stages)), *large)):
+        stored, env_id = self.config.env.file_digest, self.config.env.id
+        changed = not is_external(env_id) and stored not in (None, self.file_digest)
+        other = [f"a file of env={env_id} is not that of the run's training; results may differ"] * changed
+        lines = (*notices_of(prepared), *chain(*map(notices_of, stages)), *large, *other)
+        for line in dict.fromkeys(lines):
             print_line(f"headway: {line}")
         return PreparedEnv(self.env, prepared, tuple(stages), spec)
 
@@ -338,19 +363,33 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     by_stage = {
         f"stages[{place}].training_args": stage.training_args for place, stage in enumerate(config.stages)
     }
+    env_config: Any = build(env.entry.config, config.env.args, "env.args", config.env.id)
+    training_env_configs = tuple(
+        _training_config(env.training_entry.config, config.env, key, args)
+        for key, args in (by_stage or {"env.training_args": config.env.training_args or {}}).items()
+    )
+    env_mapping = env.mapping
+    if config.env.file_digest is None and (
+        digest := _data_digest(env.entry, env_config, *training_env_configs)
+    ):
+        env_mapping = {**env_mapping, "file_digest": digest}
     return Experiment(
         config=config,
         env=env.entry,
         training_env=env.training_entry,
-        env_config=build(env.entry.config, config.env.args, "env.args", config.env.id),
-        training_env_configs=tuple(
-            _training_config(env.training_entry.config, config.env, key, args)
-            for key, args in (by_stage or {"env.training_args": config.env.training_args or {}}).items()
-        ),
-        env_mapping=env.mapping,
+        env_config=env_config,
+        training_env_configs=training_env_configs,
+        env_mapping=env_mapping,
         algo=algo,
         algo_config=algo_config,
     )
+
+
+def _data_digest(entry: EnvEntry, *configs: object) -> str | None:
+    """Return the digest of the files that the configs of an environment name; None if there is none."""
+    if entry.digest is None:
+        return None
+    return "-".join(digest for digest in dict.fromkeys(map(entry.digest, configs)) if digest) or None
 
 
 def _training_config(record: type, env: EnvConfig, key: str, args: Mapping[str, Any]) -> object:

@@ -9,7 +9,6 @@ from math import gcd
 from pathlib import Path
 from typing import Self
 
-from headway.adapters.env_file import require_unchanged
 from headway.config.experiment import ExperimentConfig, RolloutConfig
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError
@@ -129,7 +128,7 @@ def new_jobs(
     Raises HeadwayError as `Experiment.prepare` does, for a budget that the algorithm refuses, and if the
     environment's file has changed since its digest was stored.
     """
-    require_unchanged(experiment.config.env.id, experiment.config.env.file_digest)
+    experiment.require_unchanged_files()
     environment = experiment.prepare(known)
     requested, rollout = experiment.config, experiment.config.rollout
     if reason := experiment.algo.refuses_budget(experiment.algo_config, requested.iterations):

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from headway.adapters.env_file import require_unchanged
 from headway.contracts.errors import HeadwayError
 from headway.store.checkpoint import latest_iteration
 from headway.store.run_configuration import read_configuration
@@ -97,7 +96,7 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
     first = runs[0]
     seeds = [run.record.seed for run in runs]
     experiment = resolve({**first.mapping, "seed": seeds})
-    require_unchanged(experiment.config.env.id, experiment.config.env.file_digest)
+    experiment.require_unchanged_files()
     environment = experiment.prepare(known)
     by_seed = {run.record.seed: run for run in runs}
     stacks = list(dict.fromkeys(run.plan.stack for run in runs))

@@ -68,19 +68,6 @@ class EnvFile:
         return module
 
 
-def require_unchanged(env_id: str, digest: str | None) -> None:
-    """Raise HeadwayError if an environment's file has another digest than `digest`. None: unknown, not
-    checked.
-
-    Training would otherwise store its curves under the digest of another text.
-    """
-    if is_file_id(env_id) and digest not in (None, EnvFile.read(env_id).digest):
-        raise HeadwayError(
-            f"{env_id} has changed since its digest {digest} was stored: restore the file to continue, "
-            "or train the new version as another cell"
-        )
-
-
 def is_file_id(env_id: str) -> bool:
     """Return whether an environment's id is the path of a Python file."""
     return env_id.endswith(".py")

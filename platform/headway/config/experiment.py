@@ -67,8 +67,9 @@ class EnvConfig:
     """For PettingZoo environments by module path or file: maximum number of copies in one process.
     null: no limit."""
     file_digest: str | None = None
-    """Digest of the Python file that `id` names, written by Headway into a run's configuration: runs of a
-    changed file form another cell, and a notice says if it has changed since a run."""
+    """Digest of the Python file that `id` names, or of the road network and demand that `args` of `junctions`
+    name, written by Headway into a run's configuration: runs of changed files form another cell, and a notice
+    says if they have changed since a run."""
 
     def __post_init__(self) -> None:
         limit = self.max_copies_per_process

@@ -90,6 +90,13 @@ class EnvEntry:
     Runs once, in the parent process. Raises HeadwayError for data that cannot be used. Default: the config
     itself.
     """
+    digest: Callable[[Any], str | None] | None = None
+    """(config) -> digest of the content of the files that its values name; None: none, or they cannot be
+    read.
+
+    It is stored with a run, whose training is then not continued on changed files. None: the environment
+    reads no files, or they are not compared.
+    """
     prepare_variant: Callable[[Any, Any], Any] | None = None
     """(config, prepared) -> an equal result to `prepare(config)` that shares unchanged parts with `prepared`.
 

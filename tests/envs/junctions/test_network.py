@@ -9,8 +9,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from headway_envs.junctions.config import FOUR_WAY, JunctionsConfig
+from headway_envs.junctions.config import JunctionsConfig
 from headway_envs.junctions.demand import routes_xml
+from headway_envs.junctions.files import FOUR_WAY_FILE
 from headway_envs.junctions.network import NO_APPROACH, Network, build
 from headway_envs.sumo_simulation import libsumo
 
@@ -29,11 +30,11 @@ def _content(path: Path) -> str:
 def test_the_packaged_network_equals_netconverts(tmp_path: Path) -> None:
     sumo = pytest.importorskip("sumo", reason="netconvert (package eclipse-sumo) is not installed")
     made = build(str(Path(sumo.SUMO_HOME, "bin", "netconvert")), tmp_path)
-    assert _content(made) == _content(Path(Network.read(FOUR_WAY).path))
+    assert _content(made) == _content(Path(Network.read(FOUR_WAY_FILE).path))
 
 
 def test_the_packaged_network_has_four_approaches_clockwise() -> None:
-    network = Network.read(FOUR_WAY)
+    network = Network.read(FOUR_WAY_FILE)
     names = ("north", "east", "south", "west")
     assert network.approaches == tuple(f"{name}_in_0" for name in names)
     assert network.others.tolist() == [[1, 2, 3], [2, 3, 0], [3, 0, 1], [0, 1, 2]]
@@ -51,13 +52,15 @@ def test_the_packaged_network_has_four_approaches_clockwise() -> None:
 
 def test_a_traffic_light_that_is_off_equals_a_priority_junction(junctions: Open, tmp_path: Path) -> None:
     config = JunctionsConfig(demand="500x500")
-    lights = Path(Network.read(FOUR_WAY).path).read_text(encoding="utf-8")
+    lights = Path(Network.read(FOUR_WAY_FILE).path).read_text(encoding="utf-8")
     (tmp_path / "lights.net.xml").write_text(lights, encoding="utf-8")
     plain = re.sub(r"<tlLogic.*</tlLogic>", "", lights, flags=re.DOTALL)
     plain = re.sub(r' tl="centre" linkIndex="\d"', "", plain).replace("traffic_light", "priority")
     plain = plain.replace('state="O"', 'state="M"').replace('state="o"', 'state="m"')
     (tmp_path / "plain.net.xml").write_text(plain, encoding="utf-8")
-    (tmp_path / "even.rou.xml").write_text(routes_xml(config, Network.read(FOUR_WAY)), encoding="utf-8")
+    (tmp_path / "even.rou.xml").write_text(
+        routes_xml(config, Network.read(FOUR_WAY_FILE), ())[0], encoding="utf-8"
+    )
     driven = []
     for name in ("lights", "plain"):
         env = junctions(network=str(tmp_path / f"{name}.net.xml"), demand=str(tmp_path / "even.rou.xml"))
@@ -94,13 +97,13 @@ def test_distances_equal_sumos_in_a_grid(junctions: Open, grid: tuple[Path, Path
 
 def test_lanes_of_pedestrians_are_no_approaches(tool: Convert) -> None:
     walks = ("--sidewalks.guess", "true", "--crossings.guess", "true")
-    network = Network.read(str(tool("netgenerate", "--grid", "--grid.number", "3", *walks)))
+    network = Network.read(tool("netgenerate", "--grid", "--grid.number", "3", *walks))
     assert not any(lane.endswith("_0") for lane in network.approaches)  # lane 0 is the sidewalk
     assert len(network.approaches) == 24  # of edges between the nine nodes
 
 
 def test_a_road_is_followed_through_a_bend(merge: tuple[Path, Path]) -> None:
-    network = Network.read(str(merge[0]))
+    network = Network.read(merge[0])
     assert set(network.approaches) == {"main2_0", "side_0"}
     first, second = network.lanes["main1_0"], network.lanes["main2_0"]
     assert network.approach[first] == network.approach[second]

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from headway_envs.junctions.files import FOUR_WAY_FILE
 from headway_envs.junctions.kernel import observe
-from headway_envs.junctions.network import FOUR_WAY, Network
+from headway_envs.junctions.network import Network
 
 Open = Callable[..., Any]
 FAR, GONE = (1.0, -1.0), (-1.0, 1.0)
@@ -23,7 +24,7 @@ def _seen(
     approach, distance, speed, automated = (np.array(column) for column in zip(*vehicles, strict=True))
     slot = np.where(automated, np.arange(len(vehicles)), -1)
     observations, alive = np.full((len(vehicles), 22), 9, np.float32), np.ones(len(vehicles), np.bool_)
-    network, state = Network.read(FOUR_WAY), np.zeros(12, np.float32)
+    network, state = Network.read(FOUR_WAY_FILE), np.zeros(12, np.float32)
     observe(
         np.lexsort((distance, approach)), approach, distance, speed, slot, network.others, 13.0,
         np.zeros(len(vehicles), np.int64), np.zeros(4, np.int64), observations, alive, state,

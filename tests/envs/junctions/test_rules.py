@@ -45,9 +45,9 @@ def test_fixed_signals_are_those_of_sumo(offset: int, junctions: Open, tmp_path:
     text = Path(plain.network.path).read_text(encoding="utf-8")
     network, demand = tmp_path / "lights.net.xml", tmp_path / "my.rou.xml"
     network.write_text(text.replace('offset="0"', f'offset="{offset}"'), encoding="utf-8")
-    demand.write_text(plain.routes, encoding="utf-8")
+    demand.write_text(plain.routes[0], encoding="utf-8")
     by_itself, alone = [], Simulation(str(network), {"step-length": "0.5"})
-    alone.begin(1, plain.routes)
+    alone.begin(1, plain.routes[0])
     for _ in range(300):
         alone.step()
         by_itself.append(libsumo().trafficlight.getRedYellowGreenState("centre"))
