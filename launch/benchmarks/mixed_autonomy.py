@@ -74,19 +74,22 @@ def report() -> None:
 
 
 def _report_shares(demand: str = "700x700") -> None:
-    """Print how many vehicles automated ones let through that agree on a signal, by their share."""
-    print(f"\n## Vehicles that agree, at {demand}: outflow, veh/h, by share of automated vehicles\n")
-    print(
-        "| share | humans do not yield: `virtual_signal` | collided | humans yield | collided | published |"
-    )
-    print("|---:|---:|---:|---:|---:|---:|")
+    """Print how many vehicles automated ones let through that follow a rule, by their share."""
+    rules = ("virtual_signal", "gap_acceptance")
+    print(f"\n## The same crossing at {demand}: outflow, veh/h, by share of automated vehicles\n")
+    headers = [f"`{rule}`, {humans}" for humans in ("no yielding", "yielding") for rule in rules]
+    print(f"| share automated | {' | '.join(headers)} | published, learned |")
+    print(f"|---:|{'---:|' * len(headers)}---:|")
+    crashes = 0.0
     for share, published in SHARES.items():
         cells = []
         for mode in (1, 31):
-            ours = outflow("virtual_signal", demand, automated_share=share, hdv_speed_mode=mode)
-            cells += [f"{ours[0]:,.0f}", f"{ours[1]:.1f}"]
+            for rule in rules:
+                ours, collided = outflow(rule, demand, automated_share=share, hdv_speed_mode=mode)
+                cells.append(f"{ours:,.0f}")
+                crashes += 3 * collided
         cells.append("" if published is None else f"{published:,.0f}")
         print(f"| {share:.1%} | {' | '.join(cells)} |", flush=True)
-    rules = ("human_mode1", "human")
-    outflows = (f"`{rule}` {outflow(rule, demand, hdv_speed_mode=1)[0]:,.0f}" for rule in rules)
-    print(f"\nRules without a signal, veh/h: {', '.join(outflows)}.")
+    print(f"\nThree episodes per cell; {crashes:.0f} collided vehicles in all.")
+    for rule in ("human_mode1", "human"):
+        print(f"Rule `{rule}`: {outflow(rule, demand, hdv_speed_mode=1)[0]:,.0f} veh/h.")

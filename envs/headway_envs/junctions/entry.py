@@ -36,6 +36,10 @@ ENTRY = EnvEntry(
             "signal_best that only automated vehicles observe (Ferreira et al. 2010)",
             Lazy(f"{_RULES}:VirtualSignal"),
         ),
+        "gap_acceptance": RuleEntry(
+            "automated vehicles let crossing platoons pass and go in the gap behind them",
+            Lazy(f"{_RULES}:GapAcceptance"),
+        ),
         "max_pressure": RuleEntry(
             "signal, with green every 12 s for the phase of maximum pressure (Varaiya 2013)",
             Lazy(f"{_RULES}:MaxPressure"),

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Observations
 from headway_envs.junctions.env import JunctionsBatchedEnv
+from headway_envs.junctions.kernel import SIGHT_M
 from headway_envs.junctions.network import Signal
 from headway_envs.junctions.prepared import Prepared
 from headway_envs.junctions.traffic import ACCELERATIONS
@@ -23,6 +24,8 @@ BEST_GREENS_S: Mapping[tuple[int, int], tuple[float, float]] = {
 """Greens of the horizontal and the vertical road, s, by demand, vehicles per hour and direction, that Yan and
 Wu found best."""
 _BRAKE, _KEEP, _ACCELERATE = range(3)
+STOP_M = 3.0
+"""Distance to the line at which an AV stops, m."""
 BETWEEN_DECISIONS_S = 12.0
 """Time between two decisions of max pressure, s: the best of Yan and Wu."""
 
@@ -103,9 +106,6 @@ class VirtualSignal(FixedSignal):
 
     An AV at red stops before the line, unless it is too close; otherwise it accelerates."""
 
-    STOP_M = 3.0
-    """Distance to the line at which an AV stops, m."""
-
     def __init__(self, prepared: Prepared) -> None:
         super().__init__(prepared, best=True)
         self._links = {
@@ -124,16 +124,67 @@ class VirtualSignal(FixedSignal):
                 continue
             links = self._links.get(lanes[vehicle.approach], [])
             red = bool(links) and not any(states[name][place] in "gG" for name, place in links)
-            if red and self._must_brake(vehicle.speed, vehicle.distance, native.config.step_s):
+            if red and _must_brake(vehicle.speed, vehicle.distance, native.config.step_s):
                 actions[0, vehicle.slot] = _BRAKE
         return actions
 
-    def _must_brake(self, speed: float, distance: float, step_s: float) -> bool:
-        """Return whether a vehicle can still stop before the line, but not after one more step of
-        acceleration."""
-        next_speed = speed + ACCELERATIONS[_ACCELERATE] * step_s
-        left = distance - next_speed * step_s - self.STOP_M
-        return _stopping_m(speed) <= distance and _stopping_m(next_speed) > left
+
+class GapAcceptance:
+    """AVs that give way to the platoons of conflicting approaches and go in the gap behind them, as drivers
+    at a minor road do. At the packaged crossing they need only their observations, so policies can imitate
+    them.
+
+    An AV stops before the line while human drivers cross whose platoon ends nearer than `PLATOON_M`, or while
+    the first AV of a conflicting approach drives nearer than `COMING_M`; it goes first if that one stands.
+    Approaches with green in the same phase of the network's traffic light do not conflict.
+    """
+
+    PLATOON_M, COMING_M, STANDING = 40.0, 15.0, 1.0
+    """Distances to the junction, m, and the speed up to which an AV waits, m/s. Chosen at 700x700."""
+
+    def __init__(self, prepared: Prepared) -> None:
+        network = self.network = prepared.network
+        self._places: list[list[int]] = []
+        """Places of the conflicting approaches in an observation, by approach."""
+        together = {
+            frozenset((one, another))
+            for signal in network.signals.values()
+            for _, state in signal.phases
+            for (one, _), light in zip(signal.links, state, strict=True)
+            for (another, _), other_light in zip(signal.links, state, strict=True)
+            if light in "gG" and other_light in "gG"
+        }
+        for lane, others in zip(network.approaches, network.others.tolist(), strict=True):
+            lanes = [network.approaches[number] if number >= 0 else lane for number in others]
+            self._places.append(
+                [2 + 3 * k for k, other in enumerate(lanes) if frozenset((lane, other)) not in together]
+            )
+
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
+        """Return actions (1, N)."""
+        native = _require_junctions(env)
+        actions = np.full(observed.alive.shape, _ACCELERATE, np.int64)
+        distances, speeds = np.split((observed.observations[0] + 1) / 2, 2, axis=1)
+        distances, speeds = distances * SIGHT_M, speeds * self.network.speed_limit
+        crossing = (distances > 0) & (distances < self.PLATOON_M)
+        coming = (distances < self.COMING_M) & (speeds > self.STANDING)
+        for vehicle in native.traffic.vehicles.values():
+            if vehicle.slot < 0 or vehicle.approach < 0 or vehicle.distance < 0:
+                continue
+            slot, places = vehicle.slot, self._places[vehicle.approach]
+            if (crossing[slot, places].any() or coming[slot, [place + 1 for place in places]].any()) and (
+                _must_brake(vehicle.speed, vehicle.distance, native.config.step_s)
+            ):
+                actions[0, slot] = _BRAKE
+        return actions
+
+
+def _must_brake(speed: float, distance: float, step_s: float) -> bool:
+    """Return whether a vehicle can still stop before the line, but not after one more step of
+    acceleration."""
+    next_speed = speed + ACCELERATIONS[_ACCELERATE] * step_s
+    left = distance - next_speed * step_s - STOP_M
+    return _stopping_m(speed) <= distance and _stopping_m(next_speed) > left
 
 
 def _stopping_m(speed: float) -> float:

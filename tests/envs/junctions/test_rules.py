@@ -139,6 +139,36 @@ def test_avs_stop_human_drivers_at_a_virtual_signal(share: float, junctions: Ope
     assert found["outflow_vph"] > 2600
 
 
+def test_avs_that_accept_gaps_need_only_their_observation(junctions: Open) -> None:
+    """Equal observations have equal actions, so a policy can imitate the rule; it lets through almost as many
+    vehicles as a signal."""
+    env = junctions(horizon=1000, hdv_speed_mode=1)
+    controller, observed = ENTRY.rules["gap_acceptance"].make(env.prepared), env.reset(SEED)
+    chosen: dict[bytes, int] = {}
+    for _ in range(1000):
+        actions = controller.act(env, observed)
+        for slot in np.flatnonzero(observed.alive[0]):
+            key = observed.observations[0, slot].tobytes()
+            assert chosen.setdefault(key, actions[0, slot]) == actions[0, slot]
+        outcome, observed = env.step(actions)
+    found = dict(zip(env.spec.metrics, outcome.metrics[0].tolist(), strict=True))
+    assert set(chosen.values()) == {0, 2}
+    assert found["collided_vehicles"] == 0
+    assert found["outflow_vph"] > 2500
+
+
+def test_without_lights_every_other_approach_conflicts(junctions: Open, merge: tuple[Path, Path]) -> None:
+    env = junctions(network=str(merge[0]), demand=str(merge[1]), automated_share=1.0)
+    controller, observed = ENTRY.rules["gap_acceptance"].make(env.prepared), env.reset(SEED)
+    braked = False
+    for _ in range(200):
+        actions = controller.act(env, observed)
+        braked |= bool((actions[observed.alive] == 0).any())
+        outcome, observed = env.step(actions)
+        assert outcome.rewards.min() >= 0  # no collision
+    assert braked
+
+
 def test_human_drivers_yield_and_ignore_actions(junctions: Open) -> None:
     def left(rule: str) -> float:
         env = junctions(horizon=600, warm_up_s=0)
