@@ -10,6 +10,7 @@ from contextlib import closing
 import numpy as np
 
 from headway.registry import env_entry
+from headway_envs.junctions.traffic import ACCELERATIONS
 
 CONTROLLERS = ("signal", "signal_best", "max_pressure", "human")
 PUBLISHED: Mapping[str, tuple[float | None, ...]] = {
@@ -34,19 +35,25 @@ SHARES: Mapping[float, float | None] = {
 """Published outflow of the learned policy at 700x700, veh/h, by share of automated vehicles."""
 
 
-def outflow(controller: str, demand: str, seeds: int = 3, **arguments: float) -> tuple[float, float]:
+def outflow(
+    controller: str, demand: str, seeds: int = 3, followed: float = 1.0, **arguments: float
+) -> tuple[float, float]:
     """Return the outflow, veh/h, and the collided vehicles per episode, means over `seeds` episodes.
 
-    `arguments`: other arguments of the environment.
+    `followed`: probability, per vehicle and step, that an automated vehicle follows the controller; otherwise
+    it accelerates. `arguments`: other arguments of the environment.
     """
     entry = env_entry("junctions")
     prepared, rows = entry.prepare(entry.config(demand=demand, **arguments)), []
     with closing(entry.make(prepared, 1)) as env:
         for seed in range(1, seeds + 1):
             rule, ended = entry.rules[controller].make(prepared), False
+            random = np.random.default_rng(seed)
             observed = env.reset(np.array([seed], np.uint64))
             while not ended:
-                outcome, observed = env.step(rule.act(env, observed))
+                actions = rule.act(env, observed)
+                actions[random.random(actions.shape) >= followed] = len(ACCELERATIONS) - 1
+                outcome, observed = env.step(actions)
                 ended = bool(outcome.episode_ended[0])
             rows.append(dict(zip(env.spec.metrics, outcome.metrics[0].tolist(), strict=True)))
     outflows, collided = ([row[name] for row in rows] for name in ("outflow_vph", "collided_vehicles"))
@@ -71,6 +78,7 @@ def report() -> None:
         print(f"| {demand} | {' | '.join(cells)} |", flush=True)
     print(f"\nThree episodes per cell; {crashes:.0f} collided vehicles in all.")
     _report_shares()
+    _report_mixtures()
 
 
 def _report_shares(demand: str = "700x700") -> None:
@@ -93,3 +101,12 @@ def _report_shares(demand: str = "700x700") -> None:
     print(f"\nThree episodes per cell; {crashes:.0f} collided vehicles in all.")
     for rule in ("human_mode1", "human"):
         print(f"Rule `{rule}`: {outflow(rule, demand, hdv_speed_mode=1)[0]:,.0f} veh/h.")
+
+
+def _report_mixtures(demand: str = "700x700") -> None:
+    """Print the outflow if automated vehicles follow `gap_acceptance` at a part of the steps only."""
+    print(f"\n## The same crossing at {demand}, a third automated: `gap_acceptance` at a part of the steps\n")
+    print("| probability per step | outflow, veh/h |\n|---:|---:|")
+    for followed in (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0):
+        found = outflow("gap_acceptance", demand, seeds=5, followed=followed, hdv_speed_mode=1)
+        print(f"| {followed:g} | {found[0]:,.0f} |", flush=True)
