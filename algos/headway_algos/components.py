@@ -78,6 +78,11 @@ CRITICS = {
         CentralConfig,
         Lazy("headway_algos.on_policy.critics.value:CentralCritic"),
     ),
+    "event": Component(
+        "V(o); what other agents do until the agent's next decision is not credited to it (after CAAC).",
+        CriticConfig,
+        Lazy("headway_algos.on_policy.critics.event:EventCritic"),
+    ),
     "counterfactual": Component(
         "Q(s, u) for each action of the agent, the other agents' actions held fixed (Discrete actions only).",
         CounterfactualConfig,

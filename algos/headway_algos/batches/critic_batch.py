@@ -35,6 +35,10 @@ class CriticBatch:
     actions: NDArray[Any] | None = None
     """(M, C, N) for Discrete, (M, C, N, choices) for MultiDiscrete, (M, C, N, size) for Box; None if no
     actions were taken or none are needed."""
+    decides: NDArray[np.bool_] | None = None
+    """(M, C, N): the environment used the agent's action; None unless M are the steps of a trajectory."""
+    ends: NDArray[np.bool_] | None = None
+    """(M, C, N): the agent's stream ends with the step; None like `decides`."""
     select_hidden: Callable[[HiddenStates], NDArray[Any]] = attrgetter("of_steps")
     """Selects the hidden states (M, C, W, size) at these time points from those of the trajectory."""
 
@@ -49,6 +53,8 @@ class CriticBatch:
             alive,
             _allowed(trajectory.action_masks[:-1], alive),
             zero_where_absent(trajectory.actions, alive),
+            trajectory.acting & alive,
+            trajectory.terminated | trajectory.truncated,
         )
 
     @classmethod

@@ -63,6 +63,8 @@ every_case = pytest.mark.parametrize(
         (replace(HATRPO, model=RECURRENT, cg_iterations=2), TEAM),
         (configure("custom", **KFAC, critic="central", order="sequential"), TEAM_BOX),
         (configure("custom", **KFAC, critic="counterfactual"), STATE),
+        (replace(configure("custom", **SETTINGS, critic="event"), policies="shared"), BOX),
+        (configure("custom", **SETTINGS | {"model": RECURRENT}, critic="event"), DISCRETE),
     ],
 )
 """Every critic, update, order, kind of action and sharing of policies."""

@@ -1,6 +1,6 @@
 """Network inputs of critics."""
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +135,65 @@ class CounterfactualInputs(_StateInputs):
         return np.concatenate([others_actions(batch, self.space), index], axis=-1)
 
 
+class EventInputs:
+    """Own observation, and the mean of the other agents' events: see `events_until_next_decision`.
+
+    An event is a decision of another agent of the same group: its observation and action.
+    """
+
+    needs_actions, single = True, False
+
+    def __init__(self, config: AlgoConfig, spec: EnvSpec, grouping: Grouping) -> None:
+        self.space, self.grouping, self.viewpoints = spec.action_space, grouping, spec.num_agents
+        self.groups = np.unique(spec.groups or [""] * spec.num_agents, return_inverse=True)[1]
+        self.feature_size, self.indicator_size = 2 * spec.observation_size, actor_outputs(spec) + 1
+
+    def features(self, batch: CriticBatch) -> NDArray[np.float32]:
+        """Return each agent's observation, and the mean observation at the others' events; 0 without any."""
+        _, means = self._events(batch, batch.observations)
+        return np.concatenate([batch.observations, means], axis=-1)
+
+    def indicators(self, batch: CriticBatch) -> NDArray[np.float32]:
+        """Return the mean action of the others' events, and their number per agent."""
+        assert batch.actions is not None
+        counts, means = self._events(batch, encoded_actions(batch.actions, self.space))
+        return np.concatenate([means, counts / self.viewpoints], axis=-1)
+
+    def _events(
+        self, batch: CriticBatch, values: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return numbers (M, C, N, 1) and means (M, C, N, F) of `values` (M, C, N, F) over the events."""
+        assert batch.decides is not None
+        assert batch.ends is not None
+        counted = np.concatenate([values, np.ones_like(values[..., :1])], axis=-1)
+        totals = events_until_next_decision(counted, batch.decides, batch.ends, self.groups)
+        counts = totals[..., -1:]
+        return counts, np.divide(totals[..., :-1], np.maximum(counts, 1), dtype=np.float32)
+
+
+def events_until_next_decision(
+    values: NDArray[np.float32],
+    decides: NDArray[np.bool_],
+    ends: NDArray[np.bool_],
+    groups: NDArray[np.int64],
+) -> NDArray[np.float32]:
+    """Return sums (M, C, N, F) of `values` (M, C, N, F) over the other agents' decisions.
+
+    For agent a at step t they are the decisions, from t on, of all others of its group (`groups`, (N,))
+    before a's next one after t. Decisions after the end of a's stream or after the last step do not count.
+    """
+    events = zero_where_absent(values, decides)
+    of_group = np.empty_like(events)
+    for group in range(int(groups.max()) + 1):
+        members = np.flatnonzero(groups == group)
+        of_group[:, :, members] = events[:, :, members].sum(axis=2, keepdims=True)
+    sums: NDArray[np.float32] = of_group - events
+    for t in range(len(sums) - 2, -1, -1):
+        goes_on = ~(decides[t + 1] | ends[t])
+        sums[t] += np.where(goes_on[..., None], sums[t + 1], 0.0)
+    return sums
+
+
 def others_actions(batch: CriticBatch, space: ActionSpace) -> NDArray[np.float32]:
     """Return the other agents' actions (M, C, N, N x A), one block of A per agent.
 
@@ -144,16 +203,20 @@ def others_actions(batch: CriticBatch, space: ActionSpace) -> NDArray[np.float32
     depend on the action being evaluated.
     """
     assert batch.actions is not None
-    match space:
-        case Discrete(n=n):
-            chosen = (batch.actions[..., None] == np.arange(n)).astype(np.float32)
-        case MultiDiscrete(nvec=nvec):
-            each = [batch.actions[..., i, None] == np.arange(n) for i, n in enumerate(nvec)]
-            chosen = np.concatenate(each, axis=-1).astype(np.float32)
-        case Box(low=low, high=high):
-            chosen = np.clip(batch.actions, low, high).astype(np.float32)
-    chosen = zero_where_absent(chosen, batch.in_joint)
+    chosen = zero_where_absent(encoded_actions(batch.actions, space), batch.in_joint)
     agents = chosen.shape[2]
     blocks = np.repeat(chosen[:, :, None], agents, axis=2)
     blocks[:, :, range(agents), range(agents)] = 0
     return blocks.reshape(*blocks.shape[:3], -1)
+
+
+def encoded_actions(actions: NDArray[Any], space: ActionSpace) -> NDArray[np.float32]:
+    """Return actions (..., A): each choice one-hot, Box actions clipped to the bounds."""
+    match space:
+        case Discrete(n=n):
+            return np.asarray(actions[..., None] == np.arange(n), np.float32)
+        case MultiDiscrete(nvec=nvec):
+            each = [actions[..., i, None] == np.arange(n) for i, n in enumerate(nvec)]
+            return np.concatenate(each, axis=-1).astype(np.float32)
+        case Box(low=low, high=high):
+            return np.asarray(np.clip(actions, low, high), np.float32)

@@ -29,3 +29,5 @@ class CriticEstimate:
     """Hidden states of the networks, if recurrent."""
     target_hidden_states: HiddenStates | None = None
     """Hidden states of the target network, if there is one and it is recurrent."""
+    events: "CriticEstimate | None" = None
+    """Estimate of the other agents' contribution, for the critic that separates it."""
