@@ -279,6 +279,9 @@ class BusConfig:
     control_every: int = 1
     """Only with `control=holding`: every which stop of a trip has control, counted from its terminal, which
     has it. At other stops buses leave at once."""
+    noncompliant_share: float = 0.0
+    """Only with `control=holding`: probability that a driver does not comply, drawn for each bus and day.
+    Such a bus is never held, under learners and rules alike, and its actions are not used."""
     start_hour: int = 5
     """Start of the service day, h."""
     end_hour: int = 24
@@ -347,7 +350,16 @@ class BusConfig:
             self, "hold_levels", self.hold_levels in (0, *range(2, 1001)), "must be 0, or 2 to 1000"
         )
         require_value(self, "control_every", self.control_every >= 1, "must be at least 1")
-        for name in ("hold_s",) if self.holds else ("max_hold_s", "hold_levels", "control_every"):
+        for name in (
+            ("hold_s",)
+            if self.holds
+            else (
+                "max_hold_s",
+                "hold_levels",
+                "control_every",
+                "noncompliant_share",
+            )
+        ):
             same = getattr(self, name) == getattr(type(self), name)
             require_key(same, name, f"has no effect with control={self.control}; leave it out")
         require(4 <= self.start_hour < self.end_hour <= 26, "4 <= start_hour < end_hour <= 26 must hold")
@@ -370,7 +382,7 @@ class BusConfig:
                 f"disruptions.{name}",
                 f"must lie within the service day, {self.start_hour} to {self.end_hour - 1}, not {hour}",
             )
-        _require_share(captive_share=self.captive_share)
+        _require_share(captive_share=self.captive_share, noncompliant_share=self.noncompliant_share)
         _require_above(0, competing_headway_share=self.competing_headway_share)
 
     @property

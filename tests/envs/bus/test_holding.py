@@ -151,3 +151,37 @@ def test_holding_laws_make_headways_more_even_than_never_holding(name: str) -> N
     for metric in ("headway_cv", "mean_wait_min"):
         better = _held("always_move")[metric] - _held(name)[metric]
         assert better.mean() > 2.09 * better.std(ddof=1) / np.sqrt(DAYS), metric
+
+
+def test_drivers_who_do_not_comply_are_never_held() -> None:
+    """If no driver complies, the day is that without holding, and no action is used; rules and learners are
+    alike."""
+    config = BusConfig(control="holding", noncompliant_share=1.0)
+    held, free = (
+        played("two_way_headway", config, 3),
+        played("move_with_service", BusConfig(control="holding"), 3),
+    )
+    for name, values in free.items():
+        np.testing.assert_array_equal(held[name], values, err_msg=name)
+
+
+def test_compliance_is_drawn_by_bus_and_day() -> None:
+    env = BusBatchedEnv(prepare(BusConfig(control="holding", noncompliant_share=0.3)), 40)
+    env.reset(child_seeds(5, "days", 0, 40))
+    actions = np.full((40, env.spec.num_agents), 2)
+    days, held = [], np.zeros(actions.shape)
+    for _ in range(2):
+        acted = np.zeros(actions.shape, np.int64)
+        held[...] = 0.0
+        for _ in range(env.prepared.config.ticks):
+            result, _ = env.step(actions)
+            acted += result.acting
+            held = np.maximum(held, env.world.slots["held"])
+        # Buses act at every stop of their trips, or never.
+        assert ((acted == 0) | (acted > 20)).all()
+        np.testing.assert_array_equal(held[acted == 0], 0.0)
+        days.append(acted > 20)
+    complies = np.stack(days)
+    # Of 1,120 draws the standard error is 0.014.
+    assert abs(complies.mean() - 0.7) < 0.05
+    assert (complies[0] != complies[1]).mean() == pytest.approx(2 * 0.3 * 0.7, abs=0.06)

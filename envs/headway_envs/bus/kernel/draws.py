@@ -17,6 +17,8 @@ ARRIVAL, PATIENCE, DEMAND_DAY, DEMAND_HOUR, ALIGHTING, BREAKDOWN = 9, 10, 11, 12
 """Further purposes."""
 PATIENCE_LEFT, HAZARD_LEFT = 15, 16
 """Purposes of `future.redraw`."""
+COMPLIANCE = 17
+"""Whether the driver of a bus complies: one draw per bus and day."""
 
 
 @compiled

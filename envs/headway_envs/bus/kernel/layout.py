@@ -138,6 +138,7 @@ SETTINGS = np.dtype(
             "slow_s",
             "breakdown_s",
             "late_s",
+            "noncompliant_share",
         ]
     ]
     + [

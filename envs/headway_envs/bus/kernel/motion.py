@@ -10,6 +10,7 @@ from headway_envs.bus.kernel.curves import bin_of, interpolate, period_of
 from headway_envs.bus.kernel.draws import (
     ALIGHTING,
     BREAKDOWN,
+    COMPLIANCE,
     DISPATCH,
     INCIDENT,
     INCIDENT_SIZE,
@@ -234,7 +235,8 @@ def apply_holding(net: Network, k: Record, world: World, c: int, n: int, time: f
     """Hold a bus that is ready to leave, once per stop; return whether it was the bus's decision.
 
     There is none where the bus has been held already, at a stop without control (all but every
-    `control_every`-th), and at a terminal from which the bus goes to service.
+    `control_every`-th), at a terminal from which the bus goes to service, and with a driver who does not
+    comply.
     """
     slot = world.slots[c, n]
     at_terminal = slot.phase == TERMINAL
@@ -243,6 +245,8 @@ def apply_holding(net: Network, k: Record, world: World, c: int, n: int, time: f
         return False
     passed = slot.call - net.pattern_calls[slot.pattern]
     decides = slot.held == 0.0 and passed % k.control_every == 0
+    if k.noncompliant_share > 0.0 and uniform(world.days[c].key, COMPLIANCE, n, 0) < k.noncompliant_share:
+        decides = False
     slot.held = hold_s = 0.001 * hold_ms if decides else 0.0
     if at_terminal:
         dispatch(k, world, c, n, time + hold_s)

@@ -89,8 +89,10 @@ class SelfCoordinating(HoldingLaw):
     """gain b: Bartholdi and Eisenstein 2012, "A self-coordinating bus route to resist bus bunching",
     Transportation Research Part B 46.
 
-    It needs no target headway and no timetable; headways become equal by themselves. The paper holds at a few
-    control points only, since buses are held there under regular headways too (`control_every`).
+    It needs no target headway and no timetable; headways become equal by themselves: a pause in proportion to
+    the time until the bus behind arrives makes a headway a weighted mean of itself and the one behind (the
+    authors, nextbuzz.gatech.edu/the-idea). The paper holds at a few control points only, since buses are held
+    there under regular headways too (`control_every`).
     """
 
     gain: float
