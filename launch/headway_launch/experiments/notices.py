@@ -1,8 +1,10 @@
-"""Notices of settings that a user may not have meant, printed before training."""
+"""Notices before training: its extent, and settings that a user may not have meant."""
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 from headway.config.experiment import NO_PRESET, ExperimentConfig
+from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.experiments.compose import Experiment
 from headway_launch.experiments.experiment_file import split_experiment_file
@@ -26,6 +28,7 @@ def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -
 
 def _about(config: ExperimentConfig) -> Iterator[str]:
     evaluation, steps = config.evaluation, config.env_steps
+    yield _extent(config)
     if evaluation.every >= steps and config.iterations > 1:
         every = steps // _INTERVALS
         every -= every % 10 ** (len(str(every)) - 1)  # one significant digit
@@ -41,3 +44,20 @@ def _about(config: ExperimentConfig) -> Iterator[str]:
             f"evaluation.final_episodes={evaluation.final_episodes} becomes {evaluation.episodes}, since the "
             "last evaluation includes the episodes of all others; lower evaluation.episodes too for fewer"
         )
+
+
+def _extent(config: ExperimentConfig) -> str:
+    """Return the steps, iterations and evaluations of a run, and the folders of its environment."""
+    steps, iterations = config.iterations * config.iteration_steps, config.iterations
+    rounded = "" if steps == config.env_steps else f" (env_steps={config.env_steps:_} rounded up)"
+    evaluations = 1 + sum(map(config.evaluates_after, range(1, iterations + 1)))
+    folders = [
+        f"; env.args.{key}={value}"
+        for key, value in config.env.args.items()
+        if isinstance(value, str) and Path(value).is_dir()
+    ]
+    return (
+        f"{steps:,} steps per run{rounded}, in {counted(iterations, 'iteration')} of "
+        f"{config.iteration_steps:,} (rollout.copies x rollout.steps), {evaluations} evaluations"
+        + "".join(folders)
+    )

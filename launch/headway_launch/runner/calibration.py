@@ -130,11 +130,7 @@ def evaluations_left(config: ExperimentConfig, done: int) -> float:
     The last one is weighted by its episodes relative to the others. The evaluation before training is part of
     the start-up.
     """
-    steps, every = config.rollout.copies * config.rollout.steps, config.evaluation.every
-    reached = sum(
-        iteration * steps // every > (iteration - 1) * steps // every
-        for iteration in range(done + 1, config.iterations)
-    )
+    reached = sum(map(config.evaluates_after, range(done + 1, config.iterations)))
     return reached + config.evaluation.last_episodes / config.evaluation.episodes
 
 

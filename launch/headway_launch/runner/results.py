@@ -194,7 +194,7 @@ def _print_notes(results: Sequence[SeedResult]) -> None:
     if without := len(rewarded) - len(_known(rewarded, "auc")):
         print_line(
             f"no AUC for {counted(without, 'run')}: fewer than {FEWEST_POINTS} evaluations "
-            "(evaluation.every sets the interval)"
+            "(one per evaluation.every steps, at most one per iteration)"
         )
 
 

@@ -379,13 +379,13 @@ class ExperimentConfig:
     @property
     def iterations(self) -> int:
         """Iterations needed to reach `env_steps`, rounded up."""
-        return -(-self.env_steps // self._iteration_steps)
+        return -(-self.env_steps // self.iteration_steps)
 
     @property
     def stage_ends(self) -> tuple[int, ...]:
         """Last iteration of each stage."""
         lengths = (stage.env_steps for stage in self.stages)
-        return last_iterations(lengths, self._iteration_steps) or (self.iterations,)
+        return last_iterations(lengths, self.iteration_steps) or (self.iterations,)
 
     def stage_after(self, iteration: int) -> int:
         """Return the index of the stage that training is in after `iteration` iterations."""
@@ -394,10 +394,18 @@ class ExperimentConfig:
     @property
     def rule_iterations(self) -> int:
         """Number of first iterations in which the rule `start.rule` acts; 0 without one."""
-        return -(-self.start.env_steps // self._iteration_steps) if self.start.rule else 0
+        return -(-self.start.env_steps // self.iteration_steps) if self.start.rule else 0
+
+    def evaluates_after(self, iteration: int) -> bool:
+        """Return whether an evaluation follows `iteration`, which counts from 1."""
+        every, steps = self.evaluation.every, iteration * self.iteration_steps
+        # Also where training changes, so that the curve has a point there.
+        changes = (*self.stage_ends, self.rule_iterations)
+        return iteration in changes or steps // every > (steps - self.iteration_steps) // every
 
     @property
-    def _iteration_steps(self) -> int:
+    def iteration_steps(self) -> int:
+        """Environment steps per seed and iteration."""
         return self.rollout.copies * self.rollout.steps
 
 

@@ -217,17 +217,8 @@ class _Training:
         self._log_episodes(done.episodes)
         at = self.iteration, self.env_steps
         self.report(IterationFinished(*at, self._usage(), self._wall_s(), done.collect_s, done.learn_s))
-        # Also where training changes, so that the curve has a point there.
-        due = self.iteration in (
-            *self.config.stage_ends,
-            self.job.plan.rule_iterations,
-        ) or self._passed_multiple_of(self.config.evaluation.every)
+        due = self.config.evaluates_after(self.iteration)
         self._write_curve(rows, self._evaluate(final=self.iteration == total) if due else None)
-
-    def _passed_multiple_of(self, steps: int) -> bool:
-        """Return whether the last iteration reached or passed a multiple of `steps` environment steps."""
-        rollout = self.config.rollout
-        return self.env_steps // steps > (self.env_steps - rollout.copies * rollout.steps) // steps
 
     def _training_rows(
         self, metrics: Mapping[str, NDArray[np.float64]], episodes: list[Episode], seconds: Row

@@ -1,7 +1,11 @@
 """Notices before training."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
+from headway.config.experiment import EnvConfig
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.notices import print_notices
 
@@ -35,4 +39,29 @@ def test_what_was_defaulted_or_has_no_effect_is_said_once(
 ) -> None:
     experiment = compose(words)
     print_notices(words, [experiment, experiment])
-    assert capsys.readouterr().err.splitlines() == [f"headway: {line}" for line in lines]
+    printed = capsys.readouterr().err.splitlines()
+    assert [line for line in printed if "steps per run" not in line] == [f"headway: {line}" for line in lines]
+
+
+def test_the_extent_of_a_run_is_said_with_its_rounding_and_its_folders(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["env=trivial", "algo=ippo", "rollout.copies=4", "rollout.block=4", "rollout.steps=50"]
+    words += ["evaluation.every=300"]
+    few = replace(compose([*words, "env_steps=100"]).config, env=EnvConfig("e", {"scenario": str(tmp_path)}))
+    many = compose([*words, "env_steps=1000"])
+    print_notices(["algo=ippo"], [replace(many, config=few), many, many])
+    of = "(rollout.copies x rollout.steps)"
+    assert capsys.readouterr().err.splitlines() == [
+        f"headway: 200 steps per run (env_steps=100 rounded up), in 1 iteration of 200 {of}, 2 evaluations; "
+        f"env.args.scenario={tmp_path}",
+        f"headway: 1,000 steps per run, in 5 iterations of 200 {of}, 4 evaluations",
+    ]
+
+
+def test_the_evaluations_counted_are_those_of_training() -> None:
+    words = ["env=trivial", "algo=ippo", "rollout.copies=1", "rollout.block=1", "rollout.steps=50"]
+    words += ["evaluation.every=120", "stages=[{env_steps: 100}, {env_steps: 400}]", "env_steps=500"]
+    config = compose(words).config
+    # Multiples of 120 are reached or passed at 150, 250, 400 and 500, and a stage ends at 100.
+    assert [each for each in range(1, 11) if config.evaluates_after(each)] == [2, 3, 5, 8, 10]
