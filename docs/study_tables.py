@@ -5,9 +5,9 @@
     python docs/study_tables.py --store runs --archives archives    STUDY.zip of every study of these tables
 
 A table stands between `<!-- COMMAND -->` and `<!-- end -->`. What COMMAND prints replaces what is between:
-`headway compare ...` and `headway report STUDY --table NAME` are run on the store, with `--format markdown`,
-`python -m MODULE ...` in the checkout. If it fails, because the store has no such study for example, the
-table stays, a line says so, and the exit code is 1.
+`headway compare ...`, of which only the first table is kept, and `headway report STUDY --table NAME` are run
+on the store, with `--format markdown`, `python -m MODULE ...` in the checkout. If it fails, because the store
+has no such study for example, the table stays, a line says so, and the exit code is 1.
 """
 
 import argparse
@@ -98,6 +98,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             nonlocal failed
             if words[0] == "headway":
                 table = printed([*words, "--format", "markdown"], Path(folder))
+                if table and words[1] == "compare":
+                    table = "\n\n".join(table.split("\n\n")[:2])
             else:
                 table = printed(words, CHECKOUT)
             failed += table is None
