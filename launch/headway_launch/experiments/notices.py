@@ -28,8 +28,9 @@ def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -
 
 def _about(config: ExperimentConfig) -> Iterator[str]:
     evaluation, steps = config.evaluation, config.env_steps
-    yield _extent(config)
-    if evaluation.every >= steps and config.iterations > 1:
+    evaluations = 1 + sum(map(config.evaluates_after, range(1, config.iterations + 1)))
+    yield _extent(config, evaluations)
+    if evaluation.every >= steps and evaluations == 2 and config.iterations > 1:
         every = steps // _INTERVALS
         every -= every % 10 ** (len(str(every)) - 1)  # one significant digit
         yield (
@@ -46,11 +47,10 @@ def _about(config: ExperimentConfig) -> Iterator[str]:
         )
 
 
-def _extent(config: ExperimentConfig) -> str:
+def _extent(config: ExperimentConfig, evaluations: int) -> str:
     """Return the steps, iterations and evaluations of a run, and the folders of its environment."""
     steps, iterations = config.iterations * config.iteration_steps, config.iterations
     rounded = "" if steps == config.env_steps else f" (env_steps={config.env_steps:_} rounded up)"
-    evaluations = 1 + sum(map(config.evaluates_after, range(1, iterations + 1)))
     folders = [
         f"; env.args.{key}={value}"
         for key, value in config.env.args.items()
