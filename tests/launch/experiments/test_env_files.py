@@ -64,7 +64,7 @@ def test_a_run_finds_its_file_again(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     file.unlink()
     for words in (evaluate, ["resume", "--study=own", store], SWEEP):
         end_as(first.directory)
-        assert f"env.id={file}: there is no such file; if a run used it, restore" in refused(*words)
+        assert f"env.id={file}: there is no such file; correct the path, or restore" in refused(*words)
     end_as(first.directory, "FINISHED")
     for words in (["runs"], ["report", "own", "--output", "page"], ["diff", one.run_id, other.run_id]):
         output(*words)
