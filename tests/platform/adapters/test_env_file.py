@@ -168,5 +168,7 @@ def test_an_answer_of_the_first_reset_that_cannot_be_read_is_a_one_line_error(tm
 
 def test_a_missing_file_is_a_one_line_error(tmp_path: Path) -> None:
     for path in (tmp_path / "gone.py", tmp_path):
-        with pytest.raises(HeadwayError, match="there is no such file; correct the path, or restore the file"):
+        with pytest.raises(
+            HeadwayError, match="there is no such file; correct the path, or restore the file"
+        ):
             EnvFile.read(str(path))
