@@ -76,7 +76,8 @@ def test_nothing_of_the_future_of_the_source_is_left(name: str) -> None:
 
 def test_everything_that_a_bus_day_draws_ahead_is_drawn_again() -> None:
     """Among the purposes of `draws`, ARRIVAL, DEMAND_HOUR, PATIENCE, TRIP, BREAKDOWN, EVENING and NETWORK are
-    drawn before they show; all others when an event needs them, from the day's key."""
+    drawn before they show; DEMAND_DAY and COMPLIANCE hold for the day; all others are drawn when an event
+    needs them, from the day's key."""
     env, _ = some_way("bus")
     assert isinstance(env, BusBatchedEnv)
     branched = branch(env, np.arange(3), 50)

@@ -350,16 +350,8 @@ class BusConfig:
             self, "hold_levels", self.hold_levels in (0, *range(2, 1001)), "must be 0, or 2 to 1000"
         )
         require_value(self, "control_every", self.control_every >= 1, "must be at least 1")
-        for name in (
-            ("hold_s",)
-            if self.holds
-            else (
-                "max_hold_s",
-                "hold_levels",
-                "control_every",
-                "noncompliant_share",
-            )
-        ):
+        of_holding = ("max_hold_s", "hold_levels", "control_every", "noncompliant_share")
+        for name in ("hold_s",) if self.holds else of_holding:
             same = getattr(self, name) == getattr(type(self), name)
             require_key(same, name, f"has no effect with control={self.control}; leave it out")
         require(4 <= self.start_hour < self.end_hour <= 26, "4 <= start_hour < end_hour <= 26 must hold")

@@ -185,3 +185,15 @@ def test_compliance_is_drawn_by_bus_and_day() -> None:
     # Of 1,120 draws the standard error is 0.014.
     assert abs(complies.mean() - 0.7) < 0.05
     assert (complies[0] != complies[1]).mean() == pytest.approx(2 * 0.3 * 0.7, abs=0.06)
+
+
+def test_the_futures_of_a_day_have_its_drivers() -> None:
+    """Those of `lookahead`, which would otherwise simulate that buses comply that did not so far."""
+    envs = [BusBatchedEnv(prepare(BusConfig(control="holding", noncompliant_share=0.5)), 3) for _ in range(2)]
+    source, branch = envs
+    source.reset(child_seeds(5, "days", 0, 3))
+    branch.branch_from(source, np.arange(3), child_seeds(6, "days", 0, 3))
+    complies = source.world.slots["complies"]
+    assert complies.any()
+    assert not complies.all()
+    np.testing.assert_array_equal(branch.world.slots["complies"], complies)

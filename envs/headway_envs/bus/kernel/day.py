@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from headway_envs.bus.kernel.compiled import compiled, compiled_allocating
 from headway_envs.bus.kernel.draws import (
+    COMPLIANCE,
     DAY,
     DEMAND_DAY,
     EVENING,
@@ -71,6 +72,7 @@ def begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, ep
     for n in range(world.slots.shape[1]):
         slot = world.slots[c, n]
         slot.block = net.slot_first[n]
+        slot.complies = uniform(day.key, COMPLIANCE, n, 0) >= k.noncompliant_share
         slot.headway_ratio = 1.0
         slot.since = k.start_s
         slot.ahead = np.nan

@@ -70,9 +70,10 @@ def _redraw_copy(net: Network, k: Record, world: World, c: int, seed: np.uint64)
 def redraw(net: Network, settings: NDArray[Any], world: World, seeds: NDArray[np.uint64]) -> None:
     """Draw the future of every copy from `seeds` (C,), given its present.
 
-    Unchanged are the day's demand factor, the passengers waiting and aboard, and the end times of dwells,
-    drives and dispatch delays that have begun, which rules can see too. Travel times continue from their
-    present level with the variation of another day. A second redraw replaces the first completely.
+    Unchanged are the day's demand factor, the drivers who comply with holding, the passengers waiting and
+    aboard, and the end times of dwells, drives and dispatch delays that have begun, which rules can see too.
+    Travel times continue from their present level with the variation of another day. A second redraw replaces
+    the first completely.
     """
     for c in range(seeds.shape[0]):
         _redraw_copy(net, settings[0], world, c, seeds[c])

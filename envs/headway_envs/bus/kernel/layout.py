@@ -179,6 +179,7 @@ SLOT = np.dtype(
         ("left", np.float64),  # time of departure from `call`
         ("trip_left", np.float64),  # time of departure on the trip
         ("held", np.float64),  # holding time at this stop, s
+        ("complies", np.bool_),  # whether the driver complies with holding
         ("trip_factor", np.float64),
         ("fuel", np.float64),
         ("uptime", np.float64),

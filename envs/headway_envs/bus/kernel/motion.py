@@ -10,7 +10,6 @@ from headway_envs.bus.kernel.curves import bin_of, interpolate, period_of
 from headway_envs.bus.kernel.draws import (
     ALIGHTING,
     BREAKDOWN,
-    COMPLIANCE,
     DISPATCH,
     INCIDENT,
     INCIDENT_SIZE,
@@ -244,9 +243,7 @@ def apply_holding(net: Network, k: Record, world: World, c: int, n: int, time: f
         leave_for_service(net, k, world, c, n, time)
         return False
     passed = slot.call - net.pattern_calls[slot.pattern]
-    decides = slot.held == 0.0 and passed % k.control_every == 0
-    if k.noncompliant_share > 0.0 and uniform(world.days[c].key, COMPLIANCE, n, 0) < k.noncompliant_share:
-        decides = False
+    decides = slot.complies and slot.held == 0.0 and passed % k.control_every == 0
     slot.held = hold_s = 0.001 * hold_ms if decides else 0.0
     if at_terminal:
         dispatch(k, world, c, n, time + hold_s)
