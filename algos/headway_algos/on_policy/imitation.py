@@ -41,25 +41,24 @@ def imitate(
 
     `alike` groups the K policies of a seed whose agents are interchangeable: one network learns from the
     decisions of all policies of a group, and each of them becomes a copy of it. The learning rate falls to 0
-    over the epochs. Returns metrics by seed and group of the last one, NaN for groups without rows. A
-    Gaussian's spread is kept for exploration.
+    over the epochs. Returns metrics (R x groups,) of the last one, NaN for groups without rows. A Gaussian's
+    spread is kept for exploration.
     """
-    policies = alike.policies(
-        layout.replicas, layout.replicas
-    ).ravel()  # Group, of R x groups, of each policy.
-    first = np.unique(policies, return_index=True)[1]
+    # The group, of R x groups, of each of the P policies, and the first policy of each group.
+    group_of = alike.policies(layout.replicas, layout.replicas).ravel()
+    first = np.unique(group_of, return_index=True)[1]
     learned, update = _update(actor, config, layout, first, 1, MINIBATCHES)
     rows = _joined(rows, alike, layout.replicas)
     info: dict[str, Tensor] = {}
     for epoch in range(EPOCHS):
         update.anneal(1 - epoch / EPOCHS)
         info = update.improve(rows, torch.ones_like(rows.log_probs), [generators[place] for place in first])
-    _take_over(actor, learned, policies)
+    _take_over(actor, learned, group_of)
     return info
 
 
 def _joined(rows: PolicyBatch, alike: Grouping, replicas: int) -> PolicyBatch:
-    """Return rows (R x K, B, ...) by group, (R x groups, G x B, ...)."""
+    """Return rows (R x K, B, ...) by group, (R x groups, G x B, ...); G: policies of the largest group."""
 
     def joined(column: Tensor) -> Tensor:
         by_seed = column.reshape(replicas, -1, *column.shape[1:])[:, alike.members.ravel()]

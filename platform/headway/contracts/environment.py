@@ -38,8 +38,9 @@ class EnvSpec:
     state_size: int = 0
     """S: length of the global state that central critics read; 0: the environment has none."""
     groups: tuple[str, ...] = ()
-    """Group of each agent (a bus line, for instance), used by `policies: groups`. Length N, or empty: all
-    agents are in one group."""
+    """Group of each agent (a bus line, for instance). Length N, or empty: all agents are in one group. Agents
+    of a group are interchangeable: `policies: groups` gives them one policy, and separate policies of a group
+    imitate a rule together."""
     shared_reward: bool = False
     """All agents get the team's reward: every slot of `StepResult.rewards` holds it, also slots without a
     live agent. A team's critic then reads one slot."""

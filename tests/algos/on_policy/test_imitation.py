@@ -139,6 +139,25 @@ def test_separate_policies_of_one_group_learn_from_the_decisions_of_all(groups: 
     assert agreement < 0.8 if groups else agreement > 0.95
 
 
+def test_policies_become_copies_within_their_group_and_seed() -> None:
+    """Also with groups of different sizes whose agents alternate, and seeds that are trained together."""
+    spec = replace(SPEC, agents=("a", "b", "c"), groups=("x", "y", "x"))
+    seeds, networks = (3, 4), []
+    made = [_played_by_rule(spec, 0, seed, 8) for seed in seeds]
+    for chosen, trajectory in [((seed,), [one]) for seed, one in zip(seeds, made, strict=True)] + [
+        (seeds, made)
+    ]:
+        learner = _learner("happo", spec, chosen, policies="independent", normalise_observations=False)
+        learner.imitate(joined(trajectory), 1, 1)
+        networks.append(learner.acting_parameters()["weight_0"])
+    first, second, both = networks
+    np.testing.assert_array_equal(both, np.concatenate([first, second]))
+    for own in (first, second):
+        np.testing.assert_array_equal(own[0], own[2])
+        assert (own[0] != own[1]).any()
+    assert (first[0] != second[0]).any()
+
+
 def test_steps_of_recurrent_policies_shrink_towards_the_end() -> None:
     """Steps of Adam are proportional to the learning rate."""
     moved = []
