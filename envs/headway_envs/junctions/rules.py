@@ -1,4 +1,5 @@
-"""Controllers for comparison: human drivers, and traffic lights that human drivers obey."""
+"""Controllers for comparison: human drivers, traffic lights that they obey, and automated vehicles that
+follow a rule."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
