@@ -28,7 +28,7 @@ def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -
 
 def _about(config: ExperimentConfig) -> Iterator[str]:
     evaluation, steps = config.evaluation, config.env_steps
-    evaluations = 1 + sum(map(config.evaluates_after, range(1, config.iterations + 1)))
+    evaluations = 1 + config.evaluations_until(config.iterations)
     yield _extent(config, evaluations)
     if evaluation.every >= steps and evaluations == 2 and config.iterations > 1:
         every = steps // _INTERVALS
@@ -54,10 +54,17 @@ def _extent(config: ExperimentConfig, evaluations: int) -> str:
     folders = [
         f"; env.args.{key}={value}"
         for key, value in config.env.args.items()
-        if isinstance(value, str) and Path(value).is_dir()
+        if isinstance(value, str) and _is_folder(value)
     ]
     return (
         f"{steps:,} steps per run{rounded}, in {counted(iterations, 'iteration')} of "
-        f"{config.iteration_steps:,} (rollout.copies x rollout.steps), {evaluations} evaluations"
+        f"{config.iteration_steps:,} (rollout.copies x rollout.steps), {evaluations:,} evaluations"
         + "".join(folders)
     )
+
+
+def _is_folder(value: str) -> bool:
+    try:
+        return bool(value) and Path(value).is_dir()
+    except OSError:  # no path, such as a name that is too long
+        return False

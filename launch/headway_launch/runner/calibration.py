@@ -130,7 +130,7 @@ def evaluations_left(config: ExperimentConfig, done: int) -> float:
     The last one is weighted by its episodes relative to the others. The evaluation before training is part of
     the start-up.
     """
-    reached = sum(map(config.evaluates_after, range(done + 1, config.iterations)))
+    reached = config.evaluations_until(config.iterations - 1) - config.evaluations_until(done)
     return reached + config.evaluation.last_episodes / config.evaluation.episodes
 
 

@@ -398,10 +398,25 @@ class ExperimentConfig:
 
     def evaluates_after(self, iteration: int) -> bool:
         """Return whether an evaluation follows `iteration`, which counts from 1."""
+        return iteration in self._changes or self._reaches_interval(iteration)
+
+    def evaluations_until(self, iteration: int) -> int:
+        """Return the number of evaluations after the iterations 1 to `iteration`."""
+        # Either no iteration reaches two multiples of the interval, or every iteration reaches one.
+        regular = min(iteration, iteration * self.iteration_steps // self.evaluation.every)
+        return regular + sum(
+            1 <= change <= iteration and not self._reaches_interval(change) for change in self._changes
+        )
+
+    @property
+    def _changes(self) -> set[int]:
+        """Iterations after which training changes, where curves have a point; 0 if no rule acts."""
+        return {*self.stage_ends, self.rule_iterations}
+
+    def _reaches_interval(self, iteration: int) -> bool:
+        """Return whether `iteration` reaches or passes a multiple of `evaluation.every` steps."""
         every, steps = self.evaluation.every, iteration * self.iteration_steps
-        # Also where training changes, so that the curve has a point there.
-        changes = (*self.stage_ends, self.rule_iterations)
-        return iteration in changes or steps // every > (steps - self.iteration_steps) // every
+        return steps // every > (steps - self.iteration_steps) // every
 
     @property
     def iteration_steps(self) -> int:

@@ -48,7 +48,8 @@ def test_the_extent_of_a_run_is_said_with_its_rounding_and_its_folders(
 ) -> None:
     words = ["env=trivial", "algo=ippo", "rollout.copies=4", "rollout.block=4", "rollout.steps=50"]
     words += ["evaluation.every=300"]
-    few = replace(compose([*words, "env_steps=100"]).config, env=EnvConfig("e", {"scenario": str(tmp_path)}))
+    args = {"scenario": str(tmp_path), "none": "", "too_long": "x" * 300}
+    few = replace(compose([*words, "env_steps=100"]).config, env=EnvConfig("e", args))
     many = compose([*words, "env_steps=1000"])
     print_notices(["algo=ippo"], [replace(many, config=few), many, many])
     of = "(rollout.copies x rollout.steps)"
@@ -65,3 +66,15 @@ def test_the_evaluations_counted_are_those_of_training() -> None:
     config = compose(words).config
     # Multiples of 120 are reached or passed at 150, 250, 400 and 500, and a stage ends at 100.
     assert [each for each in range(1, 11) if config.evaluates_after(each)] == [2, 3, 5, 8, 10]
+
+
+@pytest.mark.parametrize("every", [30, 50, 120, 1000])
+def test_evaluations_are_counted_without_a_walk_over_all_iterations(every: int) -> None:
+    words = ["env=trivial", "algo=ippo", "rollout.copies=1", "rollout.block=1", "rollout.steps=50"]
+    words += [f"evaluation.every={every}", "stages=[{env_steps: 130}, {env_steps: 370}]", "env_steps=500"]
+    config = compose(words).config
+    for iteration in range(11):
+        walked = sum(map(config.evaluates_after, range(1, iteration + 1)))
+        assert config.evaluations_until(iteration) == walked
+    endless = replace(config, env_steps=10**15, stages=())
+    assert endless.evaluations_until(endless.iterations) == 10**15 // max(every, 50)
