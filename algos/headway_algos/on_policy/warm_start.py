@@ -21,7 +21,7 @@ from headway_algos.on_policy.imitation import decisions, imitate, imitate_sequen
 from headway_algos.on_policy.learner import OnPolicyLearner
 from headway_algos.on_policy.rule_decisions import RuleDecisions
 
-_NETWORKS = ("networks", "target")
+_NETWORKS = ("networks", "target", "events_networks")
 """Parts of a critic's state that another run can start from: networks with their normalisers."""
 
 

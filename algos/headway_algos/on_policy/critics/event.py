@@ -1,6 +1,6 @@
 """Critic that separates what other agents did between two of an agent's own decisions."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +17,9 @@ from headway_algos.on_policy.critics.critic_inputs import EventInputs
 from headway_algos.on_policy.critics.estimate import CriticEstimate
 from headway_algos.on_policy.critics.return_regression import RegressionCritic
 from headway_algos.on_policy.critics.value import LocalCritic
+
+_EVENTS = "events_"
+"""Prefix of the metrics and the state of G."""
 
 
 class EventRegression(RegressionCritic):
@@ -71,7 +74,7 @@ class EventCritic(LocalCritic):
         assert estimate.events is not None
         metrics = super().fit(estimate, iteration)
         of_events = self.events.fit(estimate.events, iteration)
-        return metrics | {f"events_{name}": value for name, value in of_events.items()}
+        return metrics | _of_events(of_events)
 
     def update_normalisers(self, trajectory: Trajectory) -> None:
         """Include an iteration's inputs in the running statistics of both."""
@@ -84,10 +87,15 @@ class EventCritic(LocalCritic):
         self.events.anneal(share)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the states of V and G."""
-        return {**super().state_dict(), "events": self.events.state_dict()}
+        """Return the states of V and of G, whose names begin with `events_`."""
+        return super().state_dict() | _of_events(self.events.state_dict())
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
         super().load_state_dict(state)
-        self.events.load_state_dict(state["events"])
+        own = {name.removeprefix(_EVENTS): part for name, part in state.items() if name.startswith(_EVENTS)}
+        self.events.load_state_dict(own)
+
+
+def _of_events(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {f"{_EVENTS}{name}": value for name, value in values.items()}
