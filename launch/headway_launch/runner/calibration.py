@@ -130,7 +130,8 @@ def evaluations_left(config: ExperimentConfig, done: int) -> float:
     The last one is weighted by its episodes relative to the others. The evaluation before training is part of
     the start-up.
     """
-    reached = config.evaluations_until(config.iterations - 1) - config.evaluations_until(done)
+    before_last = config.iterations - 1
+    reached = config.evaluations_until(before_last) - config.evaluations_until(min(done, before_last))
     return reached + config.evaluation.last_episodes / config.evaluation.episodes
 
 
