@@ -25,8 +25,8 @@ class SumoEnv(ABC):
     """Result of the last step."""
 
     def __init__(self, name: str, copies: int, network: str, options: Mapping[str, str]) -> None:
-        """`name`: that of the environment; `network` and `options`: those of its `Simulation`. Raises
-        HeadwayError unless `copies` is 1."""
+        """`name`: the environment in messages; `network`: path of the network file; `options`: SUMO's options
+        by name, except the seed. Raises HeadwayError unless `copies` is 1."""
         if copies != 1:
             raise HeadwayError(
                 f"a process can hold 1 copy of {name}, not {copies}; set rollout.block=1, with one worker "

@@ -104,7 +104,7 @@ def _update(
     epochs: int,
     minibatches: int,
 ) -> tuple[Actor, GradientUpdate]:
-    """Return a copy of some policies of the actor and the update that trains it.
+    """Return a copy of some policies of the actor, by their indices, and the update that trains it.
 
     The actor itself is not trained because its parameters belong to the optimiser of the learner's update.
     """
@@ -117,7 +117,7 @@ def _update(
 
 
 def _take_over(actor: Actor, learned: Actor, places: NDArray[np.int64]) -> None:
-    """Copy to each policy the network `learned` at its place, `places` (P,)."""
+    """Copy network `places[p]` of `learned` to each policy p of the actor; places (P,)."""
     with torch.no_grad():
         for own, found in zip(actor.network.parameters(), learned.network.parameters(), strict=True):
             own.copy_(found[torch.from_numpy(places).to(found.device)])

@@ -94,7 +94,7 @@ class WarmStartLearner(OnPolicyLearner):
             return {}
         moments = self.actor.moments if self.config.normalise_observations else None
         sample = self.rule_decisions.rows(moments, self.device)
-        del self.rule_decisions
+        del self.rule_decisions  # the next access would begin a new, empty sample
         return imitate(self.actor, sample, *parts, self._alike())
 
     def _alike(self) -> Grouping:
