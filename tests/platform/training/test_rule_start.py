@@ -51,7 +51,8 @@ def _job(folder: Path, backend: Backend = "serial", seeds: tuple[int, ...] = (5,
     """Return six iterations on visitors, of which the first three are the rule's."""
     job = job_of(folder, seeds=seeds, backend=backend)
     plan = replace(job.plan, rule=OptimalVisitors(TOYS["visitors"][1]), rule_iterations=3)
-    return replace(job, plan=plan)
+    start = StartConfig(rule="optimal", env_steps=3 * COPIES * STEPS)
+    return replace(job, plan=plan, config=replace(job.config, start=start))
 
 
 @pytest.fixture(scope="module")
