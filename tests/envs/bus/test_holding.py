@@ -182,13 +182,13 @@ def test_compliance_is_drawn_by_bus_and_day() -> None:
         np.testing.assert_array_equal(held[acted == 0], 0.0)
         days.append(acted > 20)
     complies = np.stack(days)
-    # Of 1,120 draws the standard error is 0.014.
+    # The standard error of the share is 0.014, with 1,120 draws.
     assert abs(complies.mean() - 0.7) < 0.05
     assert (complies[0] != complies[1]).mean() == pytest.approx(2 * 0.3 * 0.7, abs=0.06)
 
 
 def test_the_futures_of_a_day_have_its_drivers() -> None:
-    """Those of `lookahead`, which would otherwise simulate that buses comply that did not so far."""
+    """A simulated future keeps who complies that day: `lookahead` must not hold a bus that never holds."""
     envs = [BusBatchedEnv(prepare(BusConfig(control="holding", noncompliant_share=0.5)), 3) for _ in range(2)]
     source, branch = envs
     source.reset(child_seeds(5, "days", 0, 3))
