@@ -15,7 +15,7 @@ from headway_launch.experiments.options import own_configs
 from headway_launch.experiments.override_words import written
 from headway_launch.experiments.parameters import flat, full_mapping
 from headway_launch.experiments.search import AlgorithmSearch
-from headway_launch.experiments.search_space import candidate_overrides
+from headway_launch.experiments.search_space import candidate_overrides, is_searched
 from headway_launch.studies.search_session import Candidate, SearchSession
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 _LISTED = 3
 """Candidates of each algorithm in the table."""
-_TUNED = ("algo.", "rollout.", "env.training_args", "env.wrappers")
-"""Beginnings of the overrides that a preset takes from the search file."""
 _TASK = ("experiment=", "env=", "env.args.", "stages=")
 """Beginnings of the overrides that a preset leaves to the command."""
 
@@ -219,7 +217,7 @@ def _tuned(result: AlgorithmResult) -> dict[str, Any]:
     nested: dict[str, Any] = {}
     for word in words:
         key = word.lstrip("+").partition("=")[0]
-        if key.startswith(_TUNED):
+        if is_searched(key):
             *path, last = key.split(".")
             inner, value = nested, mapping
             for part in path:
@@ -243,5 +241,5 @@ def _overridden(name: str, result: AlgorithmResult, path: Path) -> list[str]:
     return [
         f"headway: {name}: the experiment sets {key} over any preset; add {key}={written(value)}"
         for key, value in ours.items()
-        if key.startswith(_TUNED) and theirs.get(key) != value
+        if is_searched(key) and theirs.get(key) != value
     ]
