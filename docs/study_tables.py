@@ -1,7 +1,7 @@
 """Tables of the pages in `studies/`, each written by the command above it, and archives of their studies.
 
     python docs/study_tables.py --store runs                        the tables of all pages
-    python docs/study_tables.py --store runs docs/studies/bus.md
+    python docs/study_tables.py --store runs README.md
     python docs/study_tables.py --store runs --archives archives    STUDY.zip of every study of these tables
 
 A table stands between `<!-- COMMAND -->` and `<!-- end -->`. What COMMAND prints replaces what is between:
