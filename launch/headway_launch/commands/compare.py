@@ -52,6 +52,7 @@ examples:
   headway compare bus --best --keep                store these episodes, for the report's absolute metric
   headway compare bus bus_longer old/runs:bus      learners of several studies, also of other stores
   headway compare bus --rules always_move,headway_holding_0.9 --where preset=bus_tuned
+  headway compare bus env.args.disruptions.surge=3         learners and rules on a changed environment
   headway compare env=bus env.args.scenario=corridor --episodes 20        rules alone, without training
   headway compare experiment=intersection_study --against human --metrics outflow_vph,collisions
 
@@ -75,8 +76,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "study",
         metavar="STUDY|KEY=VALUE",
         nargs="+",
-        help="studies, as in `headway runs`, or STORE:STUDY for one of another store; or, for rules alone, "
-        "env=, env.KEY= or experiment=",
+        help="studies, as in `headway runs`, or STORE:STUDY for one of another store, and env.args.KEY=VALUE "
+        "to change their environment; or, for rules alone, env=, env.KEY= or experiment=",
     )
     parser.add_argument("--episodes", type=int, default=100, help="evaluation episodes (default: 100)")
     parser.add_argument(
@@ -135,7 +136,7 @@ def execute(arguments: argparse.Namespace) -> int:
     metrics = _metrics(arguments.metrics, ("length", "return", *found.spec.metrics))
     compile_kernels(experiment.env)
     policies = {
-        label: [stored_policy(run, found, arguments.best) for run in members]
+        label: [stored_policy(run, found, arguments.best, subject.changed) for run in members]
         for label, members in cells.items()
     }
     root, episodes, greedy = arguments.seed, arguments.episodes, arguments.mode == "greedy"
@@ -154,10 +155,11 @@ def execute(arguments: argparse.Namespace) -> int:
         for label, members in cells.items():
             iterations = [policy.iteration for policy in policies[label]]
             keep_episodes(members, iterations, played[label], rules, root, arguments.mode)
+    name = " ".join([subject.name, *map(without_folders, subject.changed)]).lstrip()
     mode = f", {arguments.mode}" if cells else ""
     by_return = sorted(rules, key=lambda rule: -_mean(rules[rule], "return"))
     comparison = Comparison(
-        f"{subject.name}: {episodes} episodes of {found.spec.name}{mode}",
+        f"{name}: {episodes} episodes of {found.spec.name}{mode}",
         reference,
         {metric: readable_metric(metric, found.entry.metrics.get(metric, "")) for metric in metrics},
         [*played, *(f"rule {rule}" for rule in by_return)],
@@ -218,14 +220,13 @@ def _subject(arguments: argparse.Namespace) -> "ComparedLearners":
         _require_for_rules(words)
         if arguments.best:
             raise HeadwayError("--best has no effect if rules are compared alone; omit it, or name a study")
-        return ComparedLearners(" ".join(map(without_folders, words)), compose(words))
-    if override := next((word for word in words if "=" in word), None):
-        raise HeadwayError(
-            f"{override!r}: a study is compared with its own configuration; omit this, "
-            f"or omit {words[0]!r} to compare rules alone"
-        )
+        return ComparedLearners("", compose(words), changed=words)
+    studies = [word for word in words if "=" not in word]
+    changed = [word for word in words if "=" in word]
+    if changed and arguments.keep:
+        raise HeadwayError(f"--keep stores episodes of the studies' own environment; omit {changed[0]}")
     try:
-        learners = ComparedLearners.of(named_studies(words, arguments.store), arguments.where)
+        learners = ComparedLearners.of(named_studies(studies, arguments.store), arguments.where)
     except HeadwayError as error:
         known = options()
         for group in ("env", "experiment"):
@@ -234,7 +235,7 @@ def _subject(arguments: argparse.Namespace) -> "ComparedLearners":
                 raise HeadwayError(f"{error}; {hint}") from error
         raise
     learners.require_one_environment()
-    return learners
+    return learners.on(changed)
 
 
 def _require_for_rules(words: Sequence[str]) -> None:

@@ -52,7 +52,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Evaluate and print the table."""
-    from headway.store.checkpoint import UnfitPolicyError
     from headway_launch.console.output import print_line
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.experiments.compose import resolve
@@ -75,15 +74,7 @@ def execute(arguments: argparse.Namespace) -> int:
     found = experiment.prepare()
     rules = rules_to_play(found, arguments.rules)
     compile_kernels(experiment.env)
-    try:
-        policy = stored_policy(run, found, arguments.best)
-    except UnfitPolicyError as error:
-        if not changes:
-            raise
-        raise HeadwayError(
-            f"with {', '.join(arguments.overrides)} observations, actions or agents have other shapes than "
-            f"those that run {run.record.run_id} was trained on; change other arguments, or train with these"
-        ) from error
+    policy = stored_policy(run, found, arguments.best, arguments.overrides)
     if changes:
         print_line(f"headway: evaluated on a changed environment: {'; '.join(changes)}")
     name = f"{experiment.algo_name} {arguments.mode}"

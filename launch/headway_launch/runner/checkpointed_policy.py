@@ -1,16 +1,17 @@
 """Trained policies loaded from checkpoints, and the episodes that they play."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import NDArray
 
+from headway.contracts.errors import HeadwayError
 from headway.events import Row
 from headway.rollout.episodes import EvaluationRequest, OnStep, evaluate_policy, ignore_step
 from headway.rollout.plan import RolloutPlan
-from headway.store.checkpoint import stored_parameters
+from headway.store.checkpoint import UnfitPolicyError, stored_parameters
 from headway_launch.console.output import prints_to_stderr
 from headway_launch.experiments.compose import PreparedEnv
 from headway_launch.runner.stored_run import StoredRun
@@ -27,20 +28,31 @@ class TrainedPolicy:
     iteration: int
 
 
-def stored_policy(run: StoredRun, environment: PreparedEnv, best: bool = False) -> TrainedPolicy:
+def stored_policy(
+    run: StoredRun, environment: PreparedEnv, best: bool = False, changed: Sequence[str] = ()
+) -> TrainedPolicy:
     """Return the policies in the newest complete checkpoint of a run, for playing in `environment`.
 
-    `environment` is the run's own, or one with the same `Experiment.evaluated_env`. `best`: the policies at
-    the evaluation with the highest return instead of the newest. Raises HeadwayError if there is no
-    checkpoint, or if it does not fit the environment's observations and actions or is not finite.
+    `environment` is the run's own, one with the same `Experiment.evaluated_env`, or one `changed` by
+    `env.args.KEY=VALUE`. `best`: the policies at the evaluation with the highest return instead of the
+    newest. Raises HeadwayError if there is no checkpoint, or if it does not fit the environment's
+    observations and actions or is not finite.
     """
     experiment, rollout = run.experiment, run.experiment.config.rollout
     spec = environment.spec.for_policies
     policy = experiment.algo.acting_policy(experiment.algo_config, spec)
     env, seed = environment.entry, run.record.seed
-    iteration, parameters, notices = stored_parameters(
-        run.directory, policy, seed, run.plan.stack, experiment.config.env.id, best
-    )
+    try:
+        iteration, parameters, notices = stored_parameters(
+            run.directory, policy, seed, run.plan.stack, experiment.config.env.id, best
+        )
+    except UnfitPolicyError as error:
+        if not changed:
+            raise
+        raise HeadwayError(
+            f"with {', '.join(changed)} observations, actions or agents have other shapes than those that "
+            f"run {run.record.run_id} was trained on; change other arguments, or train with these"
+        ) from error
     for line in notices:
         print(f"headway: {line}", file=sys.stderr)
     plan = RolloutPlan.of(rollout, env.make, env.preload, environment.prepared, spec, policy, (seed,))

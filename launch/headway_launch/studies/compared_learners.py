@@ -1,13 +1,14 @@
 """Learners to compare, of one or several studies, and the environment that they have in common."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
 from headway.store.cell_names import labelled_cells
-from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.compose import Experiment, resolve
+from headway_launch.experiments.env_args import with_env_args
 from headway_launch.experiments.parameters import flat
 from headway_launch.runner.stored_run import StoredRun
 from headway_launch.studies.runs import finished_runs
@@ -21,10 +22,12 @@ class ComparedLearners:
     """Learners to compare, and their environment."""
 
     name: str
-    """The studies, or the environment if only rules are compared."""
+    """The studies; empty if only rules are compared."""
     experiment: Experiment
     studies: Sequence[Mapping[str, list[StoredRun]]] = ()
     """Per study, the runs of each learner by label; empty if only rules are compared."""
+    changed: Sequence[str] = ()
+    """Overrides that name the environment, or that change the one of the studies (`env.args.KEY=VALUE`)."""
 
     @classmethod
     def of(cls, studies: Mapping[str, tuple[Path, str]], where: Sequence[str]) -> "ComparedLearners":
@@ -39,6 +42,16 @@ class ComparedLearners:
                 for name, cells in zip(studies, found, strict=True)
             ]
         return cls(" and ".join(studies), next(iter(found[0].values()))[0].experiment, found)
+
+    def on(self, changed: Sequence[str]) -> "ComparedLearners":
+        """Return the learners on their environment with other arguments, `env.args.KEY=VALUE`.
+
+        Raises HeadwayError for other keys.
+        """
+        if not changed:
+            return self
+        mapping, _ = with_env_args(next(iter(self.cells.values()))[0].mapping, changed)
+        return replace(self, experiment=resolve(mapping), changed=changed)
 
     @property
     def cells(self) -> Mapping[str, list[StoredRun]]:

@@ -86,7 +86,7 @@ def test_a_table_for_a_page_has_a_row_per_controller(form: str) -> None:
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["bus", "env.args.steps=3"], "a study is compared with its own configuration"),
+        (["bus", "--best", "--keep", "env.args.steps=3"], "own environment; omit env.args.steps=3"),
         (["tracking"], "there is no store in 'runs'"),
         (["tracking"], "for rules alone: headway compare env=tracking"),
         (["toy_tracking"], "for rules alone: headway compare experiment=toy_tracking"),

@@ -36,6 +36,12 @@ def test_a_policy_and_the_rules_play_the_changed_environment(empty_folder: Path)
     )
     assert "env.args.fair is not a key of" in refused("evaluate", shared, "env.args.fair=2")
 
+    study = ("compare", stored_rows()[0].study, "--episodes=2", "--where", "policies=shared")
+    header, _, learner = rows_of(*study, "env.args.fare=2", "env.args.steps=4")
+    assert dict(zip(header, learner, strict=True))["mean"] == "12"
+    assert "with env.args.cars=3 observations" in refused(*study[:3], "env.args.cars=3")
+    assert "only env.args.KEY=VALUE can be changed" in refused(*study, "algo.lr=3")
+
 
 @pytest.mark.parametrize(
     ("override", "line"),
