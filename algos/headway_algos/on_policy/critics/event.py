@@ -26,6 +26,7 @@ class EventRegression(RegressionCritic):
     """Contribution of the other agents' decisions to an agent's return, beyond V(o)."""
 
     Inputs = EventInputs
+    purpose = "critic of events"
 
 
 class EventCritic(LocalCritic):

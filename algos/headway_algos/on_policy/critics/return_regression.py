@@ -50,12 +50,14 @@ class ReturnNetworks(nn.Module):
         outputs: int,
         seeds: Sequence[int],
         layout: Layout,
+        purpose: str = "critic",
     ) -> None:
+        """`purpose`: that of the random streams of initialisation and shuffling."""
         super().__init__()
-        self.config = config
+        self.config, self.purpose = config, purpose
         networks, model = critic_inputs.grouping.num_policies, config.model
         sizes = (critic_inputs.feature_size + critic_inputs.indicator_size, outputs)
-        self.network = make_network(model, seeds, networks, "critic", sizes, 1.0, layout.dtype)
+        self.network = make_network(model, seeds, networks, purpose, sizes, 1.0, layout.dtype)
         self.carried: NDArray[Any] | None = None
         """(C, W, M), W viewpoints: hidden states of recurrent networks after the last trajectory."""
         self.input_moments = RunningStatistics(len(seeds) * networks, critic_inputs.feature_size)
@@ -187,8 +189,8 @@ class ReturnRegression:
         return losses.detach()[None]
 
     def _generators(self, iteration: int) -> list[np.random.Generator]:
-        networks = range(self.layout.grouping.num_policies)
-        return [generator(seed, "critic minibatch", k, iteration) for seed in self.seeds for k in networks]
+        networks, purpose = range(self.layout.grouping.num_policies), f"{self.networks.purpose} minibatch"
+        return [generator(seed, purpose, k, iteration) for seed in self.seeds for k in networks]
 
     def update_normalisers(self, trajectory: Trajectory) -> None:
         """Include an iteration's inputs in the running statistics."""
@@ -223,6 +225,8 @@ class RegressionCritic(ReturnRegression):
 
     Inputs: ClassVar[type[CriticInputs]]
     """What the networks observe."""
+    purpose: ClassVar[str] = "critic"
+    """See `ReturnNetworks`: different for each critic of a learner."""
     exchangeable_agents = False
 
     def __init__(
@@ -238,7 +242,7 @@ class RegressionCritic(ReturnRegression):
         """`outputs`: number of outputs of a network."""
         critic_inputs, self.spec = self.Inputs(config, spec, grouping), spec
         layout = Layout(critic_inputs.grouping, len(seeds), device, dtype)
-        networks = ReturnNetworks(config, critic_inputs, outputs, seeds, layout)
+        networks = ReturnNetworks(config, critic_inputs, outputs, seeds, layout, self.purpose)
         super().__init__(config, critic_inputs, seeds, networks, layout)
 
     def rows(self, batch: CriticBatch) -> tuple[Tensor, Tensor | None]:

@@ -92,3 +92,14 @@ def test_what_others_did_is_not_credited() -> None:
     for iteration in range(10):
         critic.critic.fit(critic.critic.estimate(made, critic.behaviour, iteration), iteration)
     assert critic.critic.estimate(made, critic.behaviour, 10).advantages.std() < 0.2 * before
+
+
+def test_the_two_networks_share_no_random_stream() -> None:
+    event = OnPolicyLearner(configure("custom", critic="event", policies="shared"), DISCRETE, (1,), "cpu")
+    critic = event.critic
+    assert isinstance(critic, EventCritic)
+    own, events = (each.networks.network.state_dict() for each in (critic, critic.events))
+    assert own["weights.1"].shape == events["weights.1"].shape
+    assert not torch.equal(own["weights.1"], events["weights.1"])
+    shuffled = [each._generators(1)[0].permutation(100).tolist() for each in (critic, critic.events)]
+    assert shuffled[0] != shuffled[1]
