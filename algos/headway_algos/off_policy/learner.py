@@ -60,7 +60,10 @@ MakeMethod = Callable[[Any, EnvSpec, Sequence[int], int, torch.device], Method]
 
 
 class OffPolicyLearner(PolicyStack):
-    """A `headway.contracts.LearnerWithReplay` for R replicas x K policies, with one replay buffer each."""
+    """A learner of R replicas x K policies, with one replay buffer each.
+
+    Implements `LearnerWithReplay` and `ContinuingLearner` of `headway.contracts`.
+    """
 
     config: ReplayConfig
 
@@ -113,6 +116,10 @@ class OffPolicyLearner(PolicyStack):
             "memory/transitions": mean_per_replica(held, len(self.seeds)),
             "policy/exploration": np.full(len(self.seeds), explored),
         }
+
+    def begin_episodes(self) -> None:
+        """Drop the open decisions: rewards of new episodes do not belong to them."""
+        self.transition_builder.open = None
 
     def imitate(
         self, trajectory: Trajectory, iteration: int, iterations: int

@@ -36,6 +36,7 @@ from headway.contracts.lazy import Lazy
 from headway.contracts.learner import (
     AnchoredLearner,
     AsynchronousLearner,
+    ContinuingLearner,
     Contribution,
     Contributor,
     Learner,
@@ -62,6 +63,7 @@ __all__ = [
     "BatchedWrapper",
     "Box",
     "BranchingEnv",
+    "ContinuingLearner",
     "Contribution",
     "Contributor",
     "DescribedPolicy",

@@ -67,6 +67,15 @@ class LearnerWithReplay(Learner, Protocol):
 
 
 @runtime_checkable
+class ContinuingLearner(Learner, Protocol):
+    """A learner that keeps unfinished experience of the running episodes from one iteration to the next."""
+
+    def begin_episodes(self) -> None:
+        """Drop that experience: the next trajectory begins with new episodes, as at the start of a stage."""
+        ...
+
+
+@runtime_checkable
 class StartingLearner(Learner, Protocol):
     """A learner that can start from a rule or from another run."""
 

@@ -14,6 +14,7 @@ from headway.config.experiment import ExperimentConfig
 from headway.contracts import (
     AnchoredLearner,
     AsynchronousLearner,
+    ContinuingLearner,
     EnvSpec,
     HeadwayError,
     Learner,
@@ -207,7 +208,13 @@ class _Training:
         self.backend.close()
         self.stage += 1
         self.backend, self.mode = self._open()
+        self._begin_stage()
+
+    def _begin_stage(self) -> None:
+        """Start the first episodes of a stage after the first."""
         self.backend.begin()
+        if isinstance(self.learner, ContinuingLearner):
+            self.learner.begin_episodes()
 
     def _iterate(self, total: int) -> None:
         done = self.mode.iterate(self.iteration + 1, self.iteration / total)
@@ -356,7 +363,7 @@ class _Training:
         """Continue the episodes of the checkpoint, or begin those of a stage that follows it."""
         snapshots, self.snapshots = self.snapshots, []
         if self.iteration in self.config.stage_ends[:-1]:
-            self.backend.begin()
+            self._begin_stage()
             return
         self.backend.restore(snapshots, self.iteration)
         self.episodes_restarted = any(snapshot is None for snapshot in snapshots)

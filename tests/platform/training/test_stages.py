@@ -10,15 +10,18 @@ import pytest
 from learned import assert_equal
 from numpy.typing import NDArray
 from rehearsal import TOYS, FaultConfig, FaultyVisitors, collector_of, parameters_of, plan_of_toy
-from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained
+from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained, with_algorithm
 
 from headway.config.experiment import BackendConfig, StageConfig
-from headway.contracts import Learner, Observations, child_seeds
+from headway.contracts import Learner, Observations, Trajectory, child_seeds
 from headway.events import CheckpointSaved, EvaluationFinished, IterationFinished
 from headway.rollout.backends import open_collector
 from headway.rollout.collector import Collector
 from headway.rollout.plan import RolloutPlan
 from headway.training.loop import TrainingJob
+from headway_algos.off_policy.transitions import TransitionBuilder, Transitions
+from headway_algos.registry import ENTRIES
+from headway_algos.replay_config import MADQNConfig, NetworkConfig
 from headway_envs.toy.visitors import VisitorsConfig
 
 SHORT = VisitorsConfig(agents=3, steps=4)
@@ -104,6 +107,31 @@ def test_first_episodes_of_a_stage_have_seeds_of_their_own() -> None:
         np.testing.assert_array_equal(collector.trajectory.observations[0][alive], first.observations[alive])
         others = env.reset(child_seeds(plan.seeds[0], "env", 0, plan.copies))
         assert not np.array_equal(others.alive, alive)
+
+
+@pytest.mark.parametrize("stop", [None, 2])
+def test_no_transition_reaches_from_one_stage_into_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: int | None
+) -> None:
+    """Decisions that an iteration leaves open continue in the next one of the same stage only."""
+    carried: list[bool] = []
+    transitions = TransitionBuilder.transitions
+
+    def noted(builder: TransitionBuilder, trajectory: Trajectory) -> Transitions:
+        found = transitions(builder, trajectory)
+        decided = trajectory.observations[:-1][trajectory.alive[:-1] & trajectory.acting]
+        own = {row.tobytes() for row in decided}
+        carried.append(any(row.tobytes() not in own for row in found.observations))
+        return found
+
+    monkeypatch.setattr(TransitionBuilder, "transitions", noted)
+    config = MADQNConfig(model=NetworkConfig((4,)), learning_starts=1, batch_size=1, updates=1)
+    job = with_algorithm(job_of(tmp_path, env=TOYS["visitors"]), ENTRIES["madqn"], config)
+    job = _in_stages(job, 2, 2)
+    trained(job, stop_after=stop)
+    if stop is not None:
+        trained(replace(job, resume=True))
+    assert carried == [False, True, False, True]
 
 
 @pytest.mark.parametrize("stop", [1, 3, 4, 5])
