@@ -30,7 +30,7 @@ def runs_section(data: StudyData) -> Section:
     every = data.all_runs.summaries().set_index("run_id")
     for name in _METRICS:
         every[name] = pd.to_numeric(every[name]) if name in every else float("nan")
-    every["duration_s"] = every["duration_s"].where(every["status"] != "RUNNING")  # of its earlier sessions
+    every["duration_s"] = every["duration_s"].where(every["status"] != "RUNNING")  # up to a checkpoint
     largest = every["kwh"].max()
     unit, factor = scale_of(float(largest) if largest > 0 else 1.0, "kWh")
     shown = every.assign(kwh=every["kwh"] * factor)[list(_SHOWN)].to_dict("index")

@@ -213,7 +213,8 @@ class Run:
     def __init__(self, store: SessionStore, directory: Path, record: RunRecord, gate: Path) -> None:
         self.directory, self.gate = directory, gate
         self.record = record
-        self._resumed_at = time.monotonic()
+        self._counted_at = time.monotonic()
+        """Time up to which the record's duration counts, on this session's clock."""
         self.energy = EnergyLog(directory)
         """Energy samples of the run, whose values are totals over all sessions."""
         store.follow(directory)
@@ -226,7 +227,7 @@ class Run:
     @property
     def duration_s(self) -> float:
         """Wall time so far over all sessions, s, while the run is trained."""
-        return self.record.duration_s + time.monotonic() - self._resumed_at
+        return self.record.duration_s + time.monotonic() - self._counted_at
 
     def durable(self, iteration: int) -> None:
         """Record that the training process has made everything up to `iteration` durable.
@@ -240,6 +241,10 @@ class Run:
             durable_iteration=iteration,
             durable_env_steps=max([self.record.durable_env_steps, *env_steps]),
         )
+        if self.record.status == "RUNNING":  # else an earlier session has finished it
+            # A session that is killed records nothing at its end.
+            self.record = replace(self.record, duration_s=self.duration_s)
+            self._counted_at = time.monotonic()
         self.record.write(self.directory)
         self.energy.write_if_due()
 

@@ -168,6 +168,29 @@ def test_a_resumed_run_sends_each_point_once(root: Path) -> None:
         second.resume([run.run_id])
 
 
+def test_the_time_of_a_killed_session_counts_up_to_its_last_checkpoint(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = 1000.0
+    monkeypatch.setattr("headway.store.session.time.monotonic", lambda: clock)
+    run = _begin(SessionStore(StoreConfig(str(root))))
+    clock = 1070.0
+    _train(run, 0, 10)
+    clock = 1095.0  # killed here
+    monkeypatch.setattr(Process, "may_live", lambda process: False)
+    clock = 5000.0
+    [resumed] = SessionStore(StoreConfig(str(root))).resume([run.run_id])
+    clock = 5030.0
+    assert resumed.duration_s == 100.0
+    _train(resumed, 11, 20)
+    clock = 5037.0
+    resumed.finish("FINISHED", {})
+    assert resumed.record.duration_s == 107.0
+    clock = 6000.0
+    resumed.durable(20)  # for the rest of its stack, in a later session
+    assert resumed.record.duration_s == 107.0
+
+
 def test_a_finished_run_of_a_killed_stack_keeps_its_summary(root: Path) -> None:
     """The session died between the ends of the stack's two runs, and the rest is resumed with both."""
     config = StoreConfig(root=str(root))
