@@ -78,5 +78,5 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
 
 def of_agents(made: Trajectory, agents: slice) -> Trajectory:
     """Return the part of some agents; the states stay."""
-    by_agent = {field.name for field in fields(Trajectory)} - {"states", "final_states"}
+    by_agent = {field.name for field in fields(Trajectory)} - {"states", "final_states", "episode_ended"}
     return replace(made, **{name: getattr(made, name)[:, :, agents] for name in by_agent})

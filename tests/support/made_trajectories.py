@@ -40,6 +40,7 @@ def fabricate(
     natural = draw.random(by_agent) < 0.4
     made.terminated[:] = ended & natural
     made.truncated[:] = ended & ~natural
+    end_episodes(made)
     if isinstance(spec.action_space, Discrete):
         allowed = np.ones((*by_agent, spec.action_space.n), np.bool_)
         if spec.has_action_mask:
@@ -60,6 +61,11 @@ def fabricate(
     return made
 
 
+def end_episodes(made: Trajectory) -> None:
+    """Let the episode end wherever all streams of a copy end."""
+    made.episode_ended[:] = (made.terminated | made.truncated).all(axis=2)
+
+
 def poisoned(clean: Trajectory) -> Trajectory:
     """Return a copy with NaN, or an impossible action, wherever the contract allows anything."""
     bad = Trajectory(*(getattr(clean, field.name).copy() for field in fields(clean)))
@@ -67,7 +73,7 @@ def poisoned(clean: Trajectory) -> Trajectory:
     over = bad.terminated | bad.truncated
     bad.observations[dead] = np.nan
     bad.final_observations[~over] = np.nan
-    bad.final_states[~over.all(axis=-1)] = np.nan
+    bad.final_states[~bad.episode_ended] = np.nan
     bad.log_probs[unused] = np.nan
     bad.actions[dead[:-1]] = 10**6 if bad.actions.dtype == np.int64 else np.nan
     if len(bad.action_masks):

@@ -75,7 +75,7 @@ class CriticBatch:
         """Return the observations right after each truncation, as F time points of R copies.
 
         Agents whose stream ended contribute their final observation, others the next one; the state is the
-        final one if all streams ended. No mask is recorded with a final observation, so the last known mask
+        final one if the episode ended. No mask is recorded with a final observation, so the last known mask
         is used. An agent whose stream ended is part of joint inputs if it was alive before the step and did
         not terminate with it.
         """
@@ -87,9 +87,9 @@ class CriticBatch:
             truncations.take(trajectory.final_observations),
             truncations.take(trajectory.observations[1:]),
         )
-        all_ended = ended.all(axis=-1, keepdims=True)
+        episode_ended = truncations.take(trajectory.episode_ended)[..., None]
         states = np.where(
-            all_ended, truncations.take(trajectory.final_states), truncations.take(trajectory.states[1:])
+            episode_ended, truncations.take(trajectory.final_states), truncations.take(trajectory.states[1:])
         )
         present, masks = ended | next_alive, None
         if len(trajectory.action_masks):

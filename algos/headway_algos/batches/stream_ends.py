@@ -29,14 +29,15 @@ def return_ends(trajectory: Trajectory, spec: EnvSpec) -> tuple[NDArray[np.bool_
     """Return where agents' returns terminate and where they are truncated, (T, C, N) each.
 
     An agent's return ends with its stream. If rewards are shared, it is the team's return, which continues
-    until the episode ends, when every agent is marked: the last action of an agent that leaves still affects
-    its team. The episode was truncated unless all agents terminated.
+    until the episode ends: the last action of an agent that leaves still affects its team. The episode was
+    truncated unless all agents terminated.
     """
     terminated, truncated = trajectory.terminated, trajectory.truncated
     if not spec.teams:
         return terminated, truncated
-    complete = terminated.all(axis=2, keepdims=True)
-    cut = (terminated | truncated).all(axis=2, keepdims=True) & ~complete
+    ended = trajectory.episode_ended[..., None]
+    complete = ended & terminated.all(axis=2, keepdims=True)
+    cut = ended & ~complete
     return np.broadcast_to(complete, terminated.shape), np.broadcast_to(cut, terminated.shape)
 
 

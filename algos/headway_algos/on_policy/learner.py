@@ -132,10 +132,7 @@ class OnPolicyLearner(PolicyStack):
         if not exchangeable or self.config.model.core != "none":
             return trajectory
         used = np.flatnonzero(trajectory.alive.any(axis=(0, 1)))
-        # A team's return ends when all slots are marked at once (`return_ends`): keep one unused slot, which
-        # is marked only when the episode ends.
-        spare = 1 if self.spec.teams else 0
-        return trajectory.of_first_agents(int(used.max(initial=0)) + 1 + spare)
+        return trajectory.of_first_agents(int(used.max(initial=0)) + 1)
 
     def _observations(self, trajectory: Trajectory, actor: Actor) -> Tensor:
         """Return observations (P, B, D), normalised as by the actor."""

@@ -19,7 +19,9 @@ from headway.contracts.random_rule import random_actions
 from headway.rollout.nan_check import check_finite
 
 _OBSERVED = ("observations", "states", "alive", "action_masks")
-_RESULTS = ("rewards", "terminated", "truncated", "acting", "final_observations", "final_states")
+_RESULTS = (
+    "rewards", "terminated", "truncated", "acting", "episode_ended", "final_observations", "final_states",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

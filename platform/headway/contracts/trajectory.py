@@ -73,6 +73,7 @@ class TrajectoryLayout:
             "terminated": ((t, c, n), np.bool_),
             "truncated": ((t, c, n), np.bool_),
             "acting": ((t, c, n), np.bool_),
+            "episode_ended": ((t, c), np.bool_),
             "final_observations": ((t, c, n, d), np.float32),
             "final_states": ((t, c, s), np.float32),
             "hidden_states": ((recurrent, c, n, m), np.float64),
@@ -115,6 +116,8 @@ class Trajectory:
     """(T, C, N): the stream was cut off."""
     acting: NDArray[np.bool_]
     """(T, C, N): the environment used the action."""
+    episode_ended: NDArray[np.bool_]
+    """(T, C): the copy's episode ended with the step."""
     final_observations: NDArray[np.float32]
     """(T, C, N, D): last observation of a stream; valid where terminated or truncated."""
     final_states: NDArray[np.float32]
@@ -142,5 +145,5 @@ class Trajectory:
     def of_first_agents(self, count: int) -> Self:
         """Return a view of the first `count` agents."""
         arrays = {field.name: getattr(self, field.name) for field in fields(self)}
-        of_copies = {"states", "final_states"}
+        of_copies = {"states", "final_states", "episode_ended"}
         return type(self)(**{n: a if n in of_copies else a[:, :, :count] for n, a in arrays.items()})

@@ -129,7 +129,7 @@ class Sampler:
             outcome, observed = self.env.step(actions)
             end_if_forked(process_id)
             check_finite(spec, outcome, observed, t + 1, self._name_copy)
-            for name in ("rewards", "terminated", "truncated", "acting"):
+            for name in ("rewards", "terminated", "truncated", "acting", "episode_ended"):
                 views[name][t] = self._by_replica(getattr(outcome, name))
             # Streams end rarely, and final observations are as large as all observations of a step.
             if np.count_nonzero(outcome.terminated) or np.count_nonzero(outcome.truncated):

@@ -19,7 +19,7 @@ def _at_the_cut(whole_episode: bool) -> CriticBatch:
     made.alive[2, 0, STAYS] = False
     made.alive[2, 0, JOINS] = True
     if whole_episode:
-        made.terminated[1, 0, LEFT] = made.truncated[1, 0, [AWAY, JOINS]] = True
+        made.terminated[1, 0, LEFT] = made.truncated[1, 0, [AWAY, JOINS]] = made.episode_ended[1, 0] = True
     made.observations[:], made.final_observations[:] = 1, 2
     return CriticBatch.after_truncations(made, Truncations.of(made, 1))
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from covering import pairwise
-from made_trajectories import fabricate, poisoned
+from made_trajectories import end_episodes, fabricate, poisoned
 from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory
@@ -100,6 +100,7 @@ def test_transitions_are_those_of_a_walk_along_each_stream(n_step: int, idle: fl
     for part in parts:
         part.truncated[6, 0], part.terminated[6, 0] = [True, False, False], [False, True, True]
         part.terminated[5, 1], part.truncated[5, 1] = True, False
+        end_episodes(part)
     builder = TransitionBuilder(spec, GAMMA, n_step)
     made = [builder.transitions(part) for part in parts]
     expected = _all_walks(parts, n_step, team=spec is not SPEC)
@@ -178,7 +179,7 @@ def test_actions_never_allowed_are_not_allowed_at_a_time_limit_either(away: int)
     for part in parts:
         part.action_masks[..., 1], part.action_masks[..., 0] = False, True
         part.actions[:] = 0
-    parts[1].truncated[-1] = True
+    parts[1].truncated[-1] = parts[1].episode_ended[-1] = True
     for i, part in enumerate(parts):
         still_there = np.arange(5 * i, 5 * i + 6) < 10 - away
         part.alive[:] &= still_there[:, None, None]

@@ -148,6 +148,7 @@ def test_truncation_and_termination_are_distinct_and_final_observations_precede_
     over = first.truncated | first.terminated
     assert (first.final_observations[over][:, 2] == np.nonzero(over)[1] + 2).all()  # the step after the last
     ended = over.all(axis=2)
+    np.testing.assert_array_equal(first.episode_ended, ended)
     assert (first.final_states[ended][:, 0] == 100 * (np.nonzero(ended)[1] + 2)).all()
 
 

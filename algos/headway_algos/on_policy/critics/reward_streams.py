@@ -23,8 +23,9 @@ def stream_begins(trajectory: Trajectory, critic_inputs: CriticInputs) -> NDArra
 
     The last row is the time right after the last step.
     """
-    begins = np.concatenate([trajectory.begins, trajectory.terminated | trajectory.truncated])
-    return np.array(begins.all(axis=2, keepdims=True)) if critic_inputs.single else begins
+    if critic_inputs.single:
+        return np.concatenate([trajectory.begins.all(axis=2), trajectory.episode_ended])[..., None]
+    return np.concatenate([trajectory.begins, trajectory.terminated | trajectory.truncated])
 
 
 def lambda_advantages(

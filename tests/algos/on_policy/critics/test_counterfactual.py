@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from covering import quick_or_slow
-from made_trajectories import DISCRETE, STATE, TEAM, fabricate, naive_advantages, poisoned
+from made_trajectories import DISCRETE, STATE, TEAM, end_episodes, fabricate, naive_advantages, poisoned
 from numpy.typing import NDArray
 
 from headway.contracts import Box, Discrete, EnvSpec, Trajectory, generator
@@ -268,6 +268,7 @@ def test_estimates_equal_the_loops(config: AlgoConfig, spec: EnvSpec) -> None:
     for iteration in (1, 2, 3):
         made = fabricate(spec, STEPS, 2 * COPIES, seed=iteration, absent=0.25, idle=0.2, leaves=0.04)
         made.truncated[3, 0] = ~made.terminated[3, 0]  # somewhere a whole episode is cut
+        end_episodes(made)
         estimate = learner.critic.estimate(poisoned(made), learner.behaviour, iteration)
         for r in range(2):
             part = slice(r * COPIES, (r + 1) * COPIES)

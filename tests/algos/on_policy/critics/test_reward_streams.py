@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from covering import pairwise, quick_or_slow
+from made_trajectories import end_episodes
 
 from headway.contracts import Discrete, EnvSpec, Trajectory, TrajectoryLayout
 from headway_algos.batches.critic_batch import CriticBatch
@@ -49,6 +50,7 @@ def _mortal(spec: EnvSpec, seed: int) -> Trajectory:
     made.final_observations[:] = DEATH
     made.final_observations[:, :, 1] = DEATH - 1
     made.final_states[:] = DEATH
+    end_episodes(made)
     return made
 
 
@@ -144,6 +146,7 @@ def _left(
             made.truncated[t], made.terminated[t] = here, ~here
             here = np.ones_like(here)
     made.alive[-1] = here
+    end_episodes(made)
     return made
 
 
@@ -205,7 +208,7 @@ def test_the_return_of_an_agent_that_left_includes_later_rewards_of_its_team(con
     """The episode terminates after LIMIT steps: (1 - gamma^k) / (1 - gamma) of PAY from k steps before."""
     learner = OnPolicyLearner(replace(config, gae_lambda=1.0), THREE, (1,), "cpu")
     made = _left(THREE, 0, LIMIT, chance=0.1)
-    made.terminated[-1] = True
+    made.terminated[-1] = made.episode_ended[-1] = True
     estimate = _estimate(learner, made)
     expected = PAY * (1 - GAMMA ** np.arange(LIMIT, 0, -1)) / (1 - GAMMA)
     for step in range(LIMIT):
@@ -231,7 +234,36 @@ def test_the_last_agent_to_leave_does_not_end_the_episode() -> None:
     made = Trajectory.allocate(TrajectoryLayout(spec, LIMIT, 2))
     made.rewards[:], made.alive[: DEATH + 1, :, 0] = PAY, True
     made.acting[:] = made.alive[:-1]
-    made.terminated[DEATH, :, 0] = made.terminated[-1] = True
+    made.terminated[DEATH, :, 0] = made.terminated[-1] = made.episode_ended[-1] = True
     estimate = _estimate(learner, learner._drop_unused_slots(made))
     expected = PAY * (1 - GAMMA ** np.arange(LIMIT, 0, -1)) / (1 - GAMMA)
     np.testing.assert_allclose(estimate.returns[: DEATH + 1, 0, 0], expected[: DEATH + 1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("config", [IPPO, MAPPO, OTHERS, COMA], ids=["ippo", "mappo", "others", "coma"])
+@pytest.mark.parametrize("flag", ["terminated", "truncated"])
+def test_the_ends_of_all_streams_at_once_do_not_end_the_episode(config: AlgoConfig, flag: str) -> None:
+    """Of the slots, of which there may be few, all are freed at step DEATH, and the team is paid on."""
+    spec = replace(THREE, agents=("a", "b"), groups=(), state_size=1)
+    learner = OnPolicyLearner(replace(config, gae_lambda=1.0), spec, (1,), "cpu")
+    made = Trajectory.allocate(TrajectoryLayout(spec, LIMIT, 2))
+    made.rewards[:], made.alive[: DEATH + 1] = PAY, True
+    made.acting[:] = made.alive[:-1]
+    getattr(made, flag)[DEATH] = made.terminated[-1] = made.episode_ended[-1] = True
+    made.final_states[:-1] = np.nan  # valid where the episode ends
+    estimate = _estimate(learner, made)
+    expected = PAY * (1 - GAMMA ** np.arange(LIMIT, 0, -1)) / (1 - GAMMA)
+    np.testing.assert_allclose(estimate.returns[: DEATH + 1, 0, 0], expected[: DEATH + 1], rtol=1e-9)
+
+
+def test_a_stream_cut_with_all_others_bootstraps_from_the_state_that_follows() -> None:
+    """With individual rewards; the final state is valid only where the episode ends."""
+    spec = replace(INDIVIDUAL, agents=("a", "b"), groups=(), state_size=1)
+    learner = OnPolicyLearner(MAPPO, spec, (1,), "cpu")
+    made = Trajectory.allocate(TrajectoryLayout(spec, LIMIT, 2))
+    made.alive[:] = made.acting[:] = made.truncated[DEATH] = True
+    made.final_states[:] = np.nan
+    before = _estimate(learner, made).returns
+    assert np.isfinite(before).all()
+    made.states[DEATH + 1] += 5
+    assert (_estimate(learner, made).returns[DEATH] != before[DEATH]).all()
