@@ -181,7 +181,7 @@ class Runner:
             )
 
     def _print_summary(self, seconds: float) -> None:
-        root, study = self._config.store.root, self._config.study
+        root, study = self._config.store.root, shlex.quote(self._config.study)
         results = [result for cell in self._cells for result in cell.results.values()]
         folders = sorted({result.directory.parent for result in results})
         where = ", ".join(relative(folder) for folder in folders)
@@ -191,7 +191,7 @@ class Runner:
                 f"{seconds:.0f} s; run folders in {where}; view them with: {own_name()} browse{option}"
             )
         if len(self._cells) > 1 and any(cell.rules for cell in self._cells):
-            environments = {repr((cell.config.env.id, cell.config.env.args)) for cell in self._cells}
+            environments = {repr(cell.experiment.evaluated_env) for cell in self._cells}
             command = "compare" if len(environments) == 1 else "report"
             print_line(f"compare with the rules, with intervals: {own_name()} {command} {study}{option}")
         if left := self.left_to_others():

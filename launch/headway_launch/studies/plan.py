@@ -1,6 +1,7 @@
 """Plans of sweeps, stored before training begins, and their progress in the store."""
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -98,7 +99,7 @@ class StudyProgress:
                 seeds = ",".join(map(str, run.plan.stack))
                 raise HeadwayError(
                     f"seeds {seeds} were trained in one stack and resume together only: sweep seed={seeds}, "
-                    f"or headway resume --study {self.experiment.config.study}"
+                    f"or headway resume --study {shlex.quote(self.experiment.config.study)}"
                 )
 
 

@@ -1,5 +1,6 @@
 """The finished runs of a study, one per seed, and their curves for plots."""
 
+import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -62,7 +63,9 @@ def included_runs(rows: Sequence["RunRow"], study: str) -> tuple[list["RunRow"],
     others = Counter(row.status for row in rows if row.status != "FINISHED")
     kinds = ", ".join(f"{count} {status}" for status, count in sorted(others.items()))
     if not finished:
-        raise HeadwayError(f"study {study!r} has no finished run ({kinds}); see headway runs --study {study}")
+        raise HeadwayError(
+            f"study {study!r} has no finished run ({kinds}); see headway runs --study {shlex.quote(study)}"
+        )
     newest = newest_runs(finished)
     excluded = [f"{others.total()} not finished ({kinds})"] if others else []
     if repeats := len(finished) - len(newest):

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from headway.contracts.errors import HeadwayError
 from headway.events import Event, IterationFinished
 from headway.store.checkpoint import latest_iteration
 from headway.store.run_folder import CHECKPOINTS
+from headway_launch.experiments.compose import compose
 from headway_launch.runner.cell import SessionCell
 from headway_launch.runner.runner import Runner
 from headway_launch.runner.scheduler import StopRequests
@@ -108,6 +110,28 @@ def test_the_share_of_the_store_is_printed_for_long_trainings(
     assert capsys.readouterr().err.startswith("storage took ") == printed
     Runner._print_store_share(cast(Runner, SimpleNamespace(_jobs=[job, job], _own_cpu_s=1.0)))
     assert ("400 s of training, summed over jobs" in capsys.readouterr().err) == printed
+
+
+@pytest.mark.parametrize(
+    ("words", "command"),
+    [("env.training_args.effort=0.5", "compare"), ("env.wrappers=[{name:normalize_obs_v0}]", "report")],
+)
+def test_the_next_commands_can_be_pasted(
+    words: str, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`compare` takes cells of one evaluation environment only."""
+    common = ("env=tracking", "algo=ippo", "study='my lines'")
+    experiments = [compose(common), compose([*common, words])]
+    cells = [SimpleNamespace(results={}, rules={"random": []}, experiment=each) for each in experiments]
+    job = SimpleNamespace(planned=SimpleNamespace(seeds=(0,)), elsewhere=(), recorder=None, lost_at=[])
+    runner = SimpleNamespace(
+        _config=experiments[0].config, _cells=cells, _jobs=[job], _plan_kept=True,
+        left_to_others=list, _print_store_share=lambda: None,
+    )  # fmt: skip
+    Runner._print_summary(cast(Runner, runner), 1.0)
+    first, second = (shlex.split(line.rpartition(": ")[2]) for line in capsys.readouterr().err.splitlines())
+    assert first[1:] == [command, "my lines"]
+    assert second[1:] == ["resume", "--study", "my lines"]
 
 
 @pytest.mark.slow

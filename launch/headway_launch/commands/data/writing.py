@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import shlex
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -118,7 +119,8 @@ def _print_written(tables: "Tables", out: Path) -> None:
     # An environment runs weekdays by default.
     day_type = "" if days[0].day_type == "weekday" else f"env.args.day_type={days[0].day_type} "
     given = f"{day_type}{_service_hours(days[0])}{settings}"
-    print(f"next: headway data describe {out}; headway run env=bus env.args.scenario={out} {given}")
+    scenario = shlex.quote(f"env.args.scenario={out}")
+    print(f"next: headway data describe {shlex.quote(str(out))}; headway run env=bus {scenario} {given}")
 
 
 def _service_hours(day: "DayStatistics") -> str:

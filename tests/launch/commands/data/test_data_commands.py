@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shlex
 import subprocess
 import sys
 from dataclasses import replace
@@ -186,11 +187,11 @@ def test_the_recommended_command_has_the_settings_of_the_study_of_such_networks(
         return [replace(day, peak_buses=buses) for day in described(*arguments)]
 
     monkeypatch.setattr(description, "by_day_type", by_day_type)
-    out = tmp_path / "mine"
+    out = tmp_path / "my line"
     last = output("data", "synthetic", str(out)).out.splitlines()[-1]
     describe, train = last.removeprefix("next: ").split("; ")
-    assert describe == f"headway data describe {out}"
-    experiment = compose(train.removeprefix("headway run ").split())
+    assert shlex.split(describe) == ["headway", "data", "describe", str(out)]
+    experiment = compose(shlex.split(train.removeprefix("headway run ")))
     assert experiment.env_config.scenario == str(out)
     study = compose(like)
     assert (experiment.algo_name, experiment.algo_config) == (study.algo_name, study.algo_config)
