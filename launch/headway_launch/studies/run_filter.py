@@ -43,7 +43,8 @@ def filter_runs(rows: Sequence[RunRow], conditions: Sequence[str], sort: str = "
     """Return the runs that meet all `conditions`, ordered by `sort`.
 
     A condition does not hold for a run whose value is unknown. A word after `=` or `!=` is text and needs no
-    quotes. `sort`: comma-separated fields, each optionally followed by ` desc`; unknown values come last.
+    quotes; `true`, `null` and lists are written as on a command line. `sort`: comma-separated fields, each
+    optionally followed by ` desc`; unknown values come last.
 
     Raises HeadwayError for an unknown field or parameter and for an invalid expression.
     """
@@ -152,7 +153,7 @@ def _expression(text: str, columns: _Columns) -> str:
         if token["quoted"] is not None:
             return _quoted(token["quoted"])
         if (value := token["text"]) is not None:
-            return token["equals"] + (value if _is_number(value) else _quoted(value))
+            return token["equals"] + (value if _is_number(value) else _quoted(_stored(value)))
         if (name := token["ordered"]) is not None:
             column = columns.named("--where", name)
             if (other := columns.text_of(name)) is not None:
@@ -165,6 +166,18 @@ def _expression(text: str, columns: _Columns) -> str:
     if not _COMPARISON.search(text):
         raise HeadwayError(f"--where {text!r} is not a condition; {_FORMS}")
     return _TOKEN.sub(in_sql, text)
+
+
+def _stored(text: str) -> str:
+    """Return a value of a command line as parameters have it, in Python's form: `True` for `true`."""
+    if not text.startswith("[") and text.lower() not in ("true", "false", "null"):
+        return text
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+
+    with suppress(HydraException):
+        return str(OverridesParser.create().parse_override(f"key={text}").value())
+    return text
 
 
 def _sort_key(key: str, columns: _Columns) -> str:

@@ -31,7 +31,10 @@ def store(tmp_path: Path) -> Path:
         directory = keep(
             tmp_path, "bus", seed, "bus", algorithm, f"bus-{algorithm}-1f2e3d", summary, config,
             {"evaluation": rows}, status="FINISHED" if reward else "KILLED", tags={"git.revision": "abc"},
-            parameters={"algo.lr": "0.001" if seed else "3e-05", "algo.core": "gru"},
+            parameters={
+                "algo.lr": "0.001" if seed else "3e-05", "algo.core": "gru", "algo.agent_id": str(not seed),
+                "algo.lr_end": "None", "algo.hidden": "[64, 0.001]",
+            },
         )  # fmt: skip
         write_plan(directory, [seed])
     return tmp_path
@@ -48,6 +51,9 @@ def store(tmp_path: Path) -> Path:
         (["--where", "cpu_seconds>=102"], [2, 3]),
         (["--where", "algorithm=mappo and (seed=2 or algo.lr=1e-3)"], [2, 3]),
         (["--where", "not seed in (0, 3) and final_reward between 1e-1 and 4e+2"], [1]),
+        (["--where", "algo.agent_id=false"], [1, 2, 3]),
+        (["--where", "algo.agent_id!=FALSE"], [0]),
+        (["--where", "algo.agent_id=False and algo.lr_end=null and algo.hidden=[64,0.001]"], [1, 2, 3]),
         (["--where", "algorithm like 'm%' and run_id!=\"it's\""], [2, 3]),
         (["--sort", "final_reward"], [3, 0, 1, 2]),
         (["--sort", "final_reward desc"], [1, 0, 3, 2]),
@@ -114,7 +120,10 @@ def test_chosen_columns(store: Path) -> None:
 
 def test_json_has_the_parameters(store: Path) -> None:
     first = json.loads(output("runs", "--store", str(store), "--format", "json").out)[0]
-    assert first["parameters"] == {"algo.lr": 3e-05, "algo.core": "gru"}
+    assert first["parameters"] == {
+        "algo.lr": 3e-05, "algo.core": "gru", "algo.agent_id": "True", "algo.lr_end": "None",
+        "algo.hidden": "[64, 0.001]",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
