@@ -39,7 +39,7 @@ def test_a_policy_plays_on_another_network(empty_folder: Path, capsys: pytest.Ca
 def test_a_run_is_not_continued_on_a_changed_network(
     empty_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`evaluate` says that the network has changed. Comments in a file do not change it."""
+    """`evaluate` says that the network has changed, unless another is given. Comments do not change it."""
     network, demand = Path("my.net.xml"), Path("my.rou.xml")
     text = FOUR_WAY_FILE.read_text(encoding="utf-8")
     network.write_text(text, encoding="utf-8")
@@ -56,6 +56,13 @@ def test_a_run_is_not_continued_on_a_changed_network(
         network.write_text(changed, encoding="utf-8")
         assert run(evaluate) == 0
         assert (told not in capsys.readouterr().err) == equal
+    assert run([*evaluate, "env.args.horizon=50"]) == 0
+    assert told in capsys.readouterr().err
+    Path("other.net.xml").write_text(text.replace("13.00", "30.00"), encoding="utf-8")
+    assert run([*evaluate, "env.args.network=other.net.xml"]) == 0
+    printed = capsys.readouterr().err
+    assert "evaluated on a changed environment: env.args.network=other.net.xml (trained with" in printed
+    assert told not in printed
     assert run(["resume", folder.name]) == 2
     line = "a file of env=junctions has changed since its digest"
     assert line in capsys.readouterr().err
