@@ -30,9 +30,11 @@ class SessionJob:
     """Folders of runs of its seeds that other sessions train or have finished, so that it does not start."""
     lost_at: list[int] = field(default_factory=list)
     """Last durable iteration at each loss of the training process."""
+    temporary: bool = False
+    """Whether its store is deleted at the end of the session: a failure then names no file there."""
 
     @classmethod
-    def of(cls, cell: SessionCell, planned: PlannedJob) -> "SessionJob":
+    def of(cls, cell: SessionCell, planned: PlannedJob, temporary: bool = False) -> "SessionJob":
         """Return a planned job, waiting to start."""
         config = cell.config
         progress = JobProgress(
@@ -43,7 +45,7 @@ class SessionJob:
             iteration_steps=config.rollout.copies * config.rollout.steps,
             label=cell.plan.label,
         )
-        return cls(cell, planned, progress)
+        return cls(cell, planned, progress, temporary=temporary)
 
     @property
     def account(self) -> str:
@@ -66,7 +68,8 @@ class SessionJob:
         runs = self.cell.runs(self.planned, shares)
         before = [run.energy.last() for run in runs] if self.planned.resumed else []
         self.recorder = JobRecorder(runs, uses_gpu=uses_gpu(self.planned), before=before)
-        self.progress.traceback = f"{relative(runs[0].directory)}/{TRACEBACK}"
+        if not self.temporary:
+            self.progress.traceback = f"{relative(runs[0].directory)}/{TRACEBACK}"
         return self.recorder
 
     def begin(self, shares: CoreShares) -> TrainingJob:

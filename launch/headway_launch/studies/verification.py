@@ -102,12 +102,12 @@ class Verification:
         if reasons:
             print_line(f"headway: {run_id} may differ in its last digits: {'; '.join(reasons)}")
         print_line(f"headway: {planned.description}")
-        runner = Runner([CellPlan(job.experiment, (job,))], debug)
+        runner = Runner([CellPlan(job.experiment, (job,))], debug, temporary=True)
         code = runner.run(report=False)
         if code == EXIT_STOPPED:
             return None
         if code != EXIT_DONE:
-            raise HeadwayError(f"{run_id} could not be trained again: see above, and --debug")
+            raise HeadwayError(f"{run_id} could not be trained again: see above; --debug shows the traceback")
         rows = runner.selection().rows
         [again] = [Path(row.directory) for row in rows if row.seed == run.record.seed]
         found = _compared(run.directory, again, planned.iterations)

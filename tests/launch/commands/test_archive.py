@@ -6,16 +6,19 @@ import zipfile
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 import yaml
-from command_lines import refused
+from command_lines import failed, refused
 from shuttle import SHUTTLE
 from small_runs import SMALL
 
+from headway.contracts.errors import HeadwayError
 from headway.store import provenance as provenance_module
 from headway.store.index import RunIndex
 from headway_launch.commands.main import run
+from headway_launch.runner.cell import SessionCell
 
 STEPS = ("--steps", "1024")
 """The first iterations of the fixture's runs."""
@@ -198,6 +201,20 @@ def test_a_run_that_starts_from_another_is_archived_with_it(
     assert verified(capsys, "child.zip") == (0, ["equal bit for bit"])
     parent = min(row.run_id for row in RunIndex(Path("runs")).rows("pair"))
     assert f"{parent} is no finished run of study child" in refused("verify", "child.zip", parent)
+
+
+@pytest.mark.usefixtures("archive")
+def test_a_failed_retraining_names_no_file_of_the_folder_that_is_deleted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def training_job(*_: object) -> NoReturn:
+        raise HeadwayError("the scenario is gone")
+
+    monkeypatch.setattr(SessionCell, "training_job", training_job)
+    told = failed("verify", "pair.zip", "s0", *STEPS)
+    assert "seed 0 failed: the scenario is gone\n" in told
+    assert "--debug shows the traceback" in told
+    assert "Traceback" not in told
 
 
 def test_files_that_it_does_not_hold_are_named_and_can_be_elsewhere_again(
