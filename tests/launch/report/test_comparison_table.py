@@ -2,9 +2,11 @@
 
 import json
 
+from headway.events import Row
 from headway_launch.report.comparison_table import (
     Comparison,
     ComparisonRow,
+    comparison_rows,
     comparison_table,
 )
 from headway_launch.studies.learner_pairs import pair_rows
@@ -23,6 +25,16 @@ def test_differences_have_a_sign_and_zero_is_never_negative() -> None:
         ["rule r", "\N{EN DASH}", "0.0", "\N{EN DASH}", "7", "\N{EN DASH}"],
     ]
     assert str(comparison.rounded()[0][3]) == "0.0"
+
+
+def test_equal_differences_do_not_add_digits() -> None:
+    """Their interval is as wide as the rounding of their sum: -7.9 three times."""
+    equal, apart = ([{"return": value} for value in values] for values in ([-7.9] * 3, [-8.0, -7.0, -6.0]))
+    rules: dict[str, list[Row]] = {"none": [{"return": 0.0}] * 3, "equal": equal, "apart": apart}
+    rows = comparison_rows(["return"], rules, {}, "none")
+    assert rows[1].low != rows[1].high
+    comparison = Comparison("", "none", {"return": "return"}, [row.controller for row in rows], rows)
+    assert comparison_table(comparison).rows[1][2:] == ["-7.9", "-7.9 [-7.9, -7.9]"]
 
 
 def test_a_record_of_a_pair_is_a_record_of_a_difference() -> None:
