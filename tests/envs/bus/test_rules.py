@@ -8,7 +8,7 @@ import pytest
 from played import assert_allowed, first_episodes
 
 from headway.contracts import child_seeds
-from headway_envs.bus.config import BusConfig
+from headway_envs.bus.config import BusConfig, UpkeepConfig
 from headway_envs.bus.entry import ENTRY
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import SERVICE_CENTER, TERMINAL
@@ -38,6 +38,20 @@ def test_the_best_holding_rule_beats_always_moving(scenario: str, mover: str) ->
         better = sign * (holding[name] - moving[name])
         margin = 2.09 * better.std(ddof=1) / np.sqrt(DAYS)
         assert better.mean() > margin, name
+
+
+def test_buses_break_down_at_the_stated_rate_also_between_services() -> None:
+    """Without growth by wear, the number is Poisson with the rate times the time at work, which the fuel
+    measures if standing uses as much as driving."""
+    upkeep = UpkeepConfig(breakdowns_per_hour=0.05, wear_growth=0.0, idle_share=1.0)
+    prepared = ENTRY.prepare(BusConfig(upkeep=upkeep))
+    env = ENTRY.make(prepared, DAYS)
+    observed = env.reset(child_seeds(17, "days", 0, DAYS))
+    metrics = first_episodes(env, ENTRY.rules["move_with_service"].make(prepared), observed)
+    hours = metrics["fuel_used"].sum() * upkeep.seconds_per_fuel_unit / 3600.0
+    expected = hours * upkeep.breakdowns_per_hour
+    assert metrics["service_visits"].mean() > 1
+    assert abs(metrics["breakdowns"].sum() - expected) < 3.0 * np.sqrt(expected)
 
 
 def test_buses_go_to_service_near_a_centre_in_time_and_no_more_often_than_they_must(line: Prepared) -> None:

@@ -17,7 +17,7 @@ from headway_envs.bus.kernel.draws import (
     unit_lognormal,
 )
 from headway_envs.bus.kernel.layout import BIN_S, Network, Record, World
-from headway_envs.bus.kernel.motion import renew, schedule_next_trip
+from headway_envs.bus.kernel.motion import draw_breakdown, renew, schedule_next_trip
 from headway_envs.bus.kernel.passengers import count_wait, draw_next_arrival, update_queue
 from headway_envs.keyed_random import episode_key, uniform
 
@@ -78,6 +78,7 @@ def begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, ep
         slot.ahead = np.nan
         slot.behind = np.nan
         renew(k, world, c, n)
+        draw_breakdown(world, c, n)
         schedule_next_trip(net, k, world, c, n, k.start_s, False)
 
 

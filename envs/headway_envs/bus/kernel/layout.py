@@ -184,7 +184,7 @@ SLOT = np.dtype(
         ("fuel", np.float64),
         ("uptime", np.float64),
         ("worked", np.float64),  # time up to which fuel and uptime are charged
-        ("hazard", np.float64),  # cumulative breakdown hazard since the last repair
+        ("hazard", np.float64),  # cumulative breakdown hazard since the last breakdown
         ("hazard_limit", np.float64),  # hazard at which the bus breaks down
         ("headway_ratio", np.float64),  # headway over target headway, at the last departure
         ("place", np.float64),  # position: nominal time from the first call of the pattern, s

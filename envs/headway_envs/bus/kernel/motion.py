@@ -77,7 +77,7 @@ def charge_upkeep(k: Record, world: World, c: int, n: int, time: float, fuel_sha
     slot.fuel -= used
     world.days[c].fuel += used
     # Breakdowns are a Poisson process with a rate that grows with wear: the bus breaks down when the
-    # integrated rate reaches the unit exponential number drawn by `renew`.
+    # rate integrated since its last breakdown, over services too, reaches a unit exponential number.
     slot.hazard += duration * k.hazard_per_s * math.exp(k.wear_growth * (1.0 - slot.uptime))
     slot.uptime = max(slot.uptime - duration * k.uptime_per_s, 0.0)
     slot.worked = time
@@ -85,10 +85,16 @@ def charge_upkeep(k: Record, world: World, c: int, n: int, time: float, fuel_sha
 
 @compiled
 def renew(k: Record, world: World, c: int, n: int) -> None:
-    """Refuel and repair a bus, and draw the hazard at which it breaks down next."""
+    """Refuel and repair a bus."""
     slot = world.slots[c, n]
     slot.fuel = k.fuel_capacity
     slot.uptime = 1.0
+
+
+@compiled
+def draw_breakdown(world: World, c: int, n: int) -> None:
+    """Draw the hazard at which a bus breaks down next."""
+    slot = world.slots[c, n]
     slot.hazard = 0.0
     slot.hazard_limit = exponential(world.days[c].key, BREAKDOWN, n, slot.breakdowns)
 
@@ -196,6 +202,7 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
             day.breakdown_bus = -1
         day.breakdowns += 1
         slot.breakdowns += 1
+        draw_breakdown(world, c, n)
         unload_passengers(net, k, world, c, n, time)
         slot.phase = BROKEN
         world.event_time[c, n] = time + k.broken_s
