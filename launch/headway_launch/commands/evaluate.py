@@ -1,7 +1,6 @@
 """`headway evaluate`: evaluate a trained policy and the classical rules on the same episodes."""
 
 import argparse
-from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.arguments import (
@@ -10,10 +9,6 @@ from headway_launch.commands.arguments import (
     add_store_argument,
     existing_store,
 )
-
-if TYPE_CHECKING:
-    from headway_launch.experiments.compose import Experiment
-    from headway_launch.runner.stored_run import StoredRun
 
 EXAMPLES = """\
 examples:
@@ -55,32 +50,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_store_argument(parser)
 
 
-def _names_other_files(run: "StoredRun", experiment: "Experiment") -> bool:
-    """Whether overrides name other files of the environment than the run's configuration does."""
-    try:
-        return run.experiment.file_digest != experiment.file_digest
-    except HeadwayError:  # this version refuses the configuration without them
-        return True
-
-
 def execute(arguments: argparse.Namespace) -> int:
     """Evaluate and print the table."""
     from headway_launch.console.output import print_line
     from headway_launch.console.progress_display import CountedProgress
-    from headway_launch.experiments.compose import resolve
-    from headway_launch.experiments.env_args import with_env_args
     from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
     from headway_launch.runner.comparison import counting, print_comparison, rule_episodes, rules_to_play
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.runner.warm_up import compile_kernels
 
     run = StoredRun.find(existing_store(arguments.store), arguments.run)
-    mapping, changes = with_env_args(run.mapping, arguments.overrides)
-    experiment = resolve(mapping)
-    if changes and _names_other_files(run, experiment):
-        # `changes` says so; a note that the file is not that of the training would seem to find a mistake.
-        mapping["env"].pop("file_digest", None)
-        experiment = resolve(mapping)
+    experiment, changes = run.on(arguments.overrides)
     evaluation = experiment.config.evaluation
     episodes = evaluation.last_episodes if arguments.episodes is None else arguments.episodes
     # The best policy was chosen by the episodes of evaluation.seed: on these its return is too high.

@@ -13,6 +13,7 @@ from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import CHECKPOINTS, RunRecord, find_run
 from headway.store.run_plan import RunPlan
 from headway_launch.experiments.compose import Experiment, PreparedEnv, resolve
+from headway_launch.experiments.env_args import with_env_args
 from headway_launch.experiments.parameters import identity
 from headway_launch.experiments.start import parent_run
 from headway_launch.runner.jobs import PlannedJob
@@ -71,6 +72,26 @@ class StoredRun:
     def experiment(self) -> Experiment:
         """The experiment of the stored configuration. Raises HeadwayError if this version refuses it."""
         return resolve(self.mapping)
+
+    def on(self, changed: Sequence[str]) -> tuple[Experiment, list[str]]:
+        """Return the experiment on its environment with other arguments, `env.args.KEY=VALUE`, and what
+        each changes.
+
+        Raises HeadwayError for other keys.
+        """
+        mapping, changes = with_env_args(self.mapping, changed)
+        experiment = resolve(mapping)
+        if changes and self._has_other_files_than(experiment):
+            # A note that a file is not that of the training would seem to find a mistake.
+            mapping["env"].pop("file_digest", None)
+            experiment = resolve(mapping)
+        return experiment, changes
+
+    def _has_other_files_than(self, experiment: Experiment) -> bool:
+        try:
+            return self.experiment.file_digest != experiment.file_digest
+        except HeadwayError:  # this version refuses the configuration as it is stored
+            return True
 
 
 def jobs_to_resume(

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
 from headway.store.cell_names import labelled_cells
-from headway_launch.experiments.compose import Experiment, resolve
-from headway_launch.experiments.env_args import with_env_args
+from headway_launch.experiments.compose import Experiment
 from headway_launch.experiments.parameters import flat
 from headway_launch.runner.stored_run import StoredRun
 from headway_launch.studies.runs import finished_runs
@@ -50,8 +49,8 @@ class ComparedLearners:
         """
         if not changed:
             return self
-        mapping, _ = with_env_args(next(iter(self.cells.values()))[0].mapping, changed)
-        return replace(self, experiment=resolve(mapping), changed=changed)
+        experiment, _ = next(iter(self.cells.values()))[0].on(changed)
+        return replace(self, experiment=experiment, changed=changed)
 
     @property
     def cells(self) -> Mapping[str, list[StoredRun]]:
