@@ -10,6 +10,8 @@ MAX_VPH = 3_600
 """Maximum demand per lane and vehicle kind, vehicles per hour: one vehicle per second."""
 STEP_S = 0.1
 """Length of a step, s."""
+GREEN_S, CLEAR_S = 30.0, 4.0
+"""Green of each road in the rule `virtual_signal`, and clearance time between two greens, s."""
 TERMS = ("velocity", "standstill", "progress", "delay", "lane_change", "throughput", "headway", "collision")
 """Terms of the reward. The paper has no term for collisions; its velocity term is 0 in a step with one."""
 
@@ -91,9 +93,13 @@ class IntersectionConfig:
     slots: int = 96
     """Maximum number of controlled AVs at once. SUMO drives any others; the metric `avs_without_slot` counts
     them."""
-    observation: Literal["paper", "extended"] = "extended"
+    observation: Literal["paper", "extended", "platoons"] = "extended"
     """`paper`: own position and speed, leader and follower. `extended`: also the vehicle's turn, distances on
-    a scale suited to braking, and the next vehicles on conflicting paths."""
+    a scale suited to braking, and the next vehicles on conflicting paths. `platoons`: that of the environment
+    `junctions`, the platoons on all other entry lanes."""
+    clock: bool = False
+    """AVs also observe a clock that they share: sine and cosine of the time since the turn of their own road
+    began, in the 68 s cycle of the rule `virtual_signal`."""
     av_speed_mode: int = 7
     """SUMO's checks of commanded speeds, as bits: 1 safe gap, 2 maximum acceleration, 4 maximum braking, 8
     right of way. 1: the paper's value, which allows braking beyond the vehicles' maximum. 11: a safeguard;
@@ -123,7 +129,7 @@ class IntersectionConfig:
 
     def __post_init__(self) -> None:
         _one_of("junction", self.junction, ("priority", "right_before_left", "allway_stop"))
-        _one_of("observation", self.observation, ("paper", "extended"))
+        _one_of("observation", self.observation, ("paper", "extended", "platoons"))
         _one_of("on_collision", self.on_collision, ("remove_pair", "end_episode"))
         _one_of("at_exit", self.at_exit, ("truncated", "terminated"))
         require_at_least(0, vph_per_lane_hdv=self.vph_per_lane_hdv, human_noise=self.human_noise)

@@ -52,6 +52,6 @@ ENTRY = EnvEntry(
     },
     metrics=METRIC_DESCRIPTIONS,
     renderer=Lazy("headway_envs.intersection.renderer:IntersectionRenderer"),
-    preload=("headway_envs.intersection.kernel", "headway_envs.intersection.env"),
+    preload=("headway_envs.platoons", "headway_envs.intersection.kernel", "headway_envs.intersection.env"),
     published=Lazy("headway_envs.intersection.published:INTERSECTION_PAPER"),
 )

@@ -7,16 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Box, EnvSpec, Observations, StepResult
+from headway_envs import platoons
 from headway_envs.intersection import kernel
+from headway_envs.intersection.config import CLEAR_S, GREEN_S, STEP_S
 from headway_envs.intersection.episode_metrics import EpisodeMetrics
-from headway_envs.intersection.layout import ACCOUNT, SCRATCH, STATE_SIZE, Slots
+from headway_envs.intersection.layout import ACCOUNT, NUM_LANES, SCRATCH, STATE_SIZE, Slots
 from headway_envs.intersection.metrics import METRICS
+from headway_envs.intersection.network import ROAD_M, SPEED_LIMIT
 from headway_envs.intersection.observation import features
 from headway_envs.intersection.prepared import Prepared
 from headway_envs.intersection.sumo.bridge import Changes, SumoBridge
 from headway_envs.intersection.sumo.scenario import OPTIONS, episode_draws
 from headway_envs.step_arrays import step_arrays, step_result
 from headway_envs.sumo_env import SumoEnv
+
+_OTHER_LANES = (np.arange(NUM_LANES)[:, None] + np.arange(1, NUM_LANES)) % NUM_LANES
+"""(8, 7) entry lanes besides each one, clockwise."""
 
 
 class IntersectionBatchedEnv(SumoEnv):
@@ -34,19 +40,19 @@ class IntersectionBatchedEnv(SumoEnv):
         config = self.config = prepared.config
         self.prepared = prepared
         self._bridge: SumoBridge | None = None
-        extended = config.observation == "extended"
-        slots = self._slots = Slots.empty(config.slots, extended)
+        described = features(prepared)
+        slots = self._slots = Slots.empty(config.slots, len(described))
         self._account, self._scratch = np.zeros(1, ACCOUNT), np.zeros(1, SCRATCH)
         self._spec = EnvSpec(
             name="intersection",
             agents=tuple(f"av_{slot}" for slot in range(config.slots)),
-            observation_size=slots.observations.shape[1],
+            observation_size=len(described),
             action_space=Box((-kernel.MAX_ACCELERATION,), (kernel.MAX_ACCELERATION,)),
             state_size=STATE_SIZE,
             shared_reward=config.reward.kind == "scaled" and config.reward.scope == "team",
             agents_come_and_go=True,
             metrics=METRICS,
-            observation_features=features(prepared),
+            observation_features=described,
             max_copies_per_process=1,
         )
         self._actions_shape = (1, config.slots, 1)
@@ -116,7 +122,38 @@ class IntersectionBatchedEnv(SumoEnv):
             changes.pending,
             counters.steps / self.config.horizon,
         )
+        if self.config.observation == "platoons":
+            self._observe_platoons()
+        if self.config.clock:
+            self._observe_clock()
         return changes.crashes > 0
+
+    def _observe_platoons(self) -> None:
+        count, traffic = len(self.bridge.roster), self.bridge.roster.traffic
+        lane, distance = traffic.link[:count] // 2, ROAD_M - traffic.position[:count]
+        platoons.observe(
+            np.lexsort((distance, lane)),
+            lane,
+            distance,
+            traffic.speed[:count],
+            traffic.slot[:count],
+            _OTHER_LANES,
+            ROAD_M,
+            SPEED_LIMIT,
+            3 * NUM_LANES - 1,
+            np.zeros(count, np.int64),
+            np.zeros(NUM_LANES, np.int64),
+            self._slots.observations,
+            self._slots.alive,
+        )
+
+    def _observe_clock(self) -> None:
+        count, traffic = len(self.bridge.roster), self.bridge.roster.traffic
+        slots, half_s = traffic.slot[:count], GREEN_S + CLEAR_S
+        turns = self.steps_taken * STEP_S / half_s - traffic.link[:count] // 4 % 2
+        there = slots >= 0
+        angles = np.pi * turns[there]
+        self._slots.observations[slots[there], -2:] = np.column_stack((np.sin(angles), np.cos(angles)))
 
     def _begin(self) -> None:
         self.counters, self.crash_places = EpisodeMetrics(self.config), []

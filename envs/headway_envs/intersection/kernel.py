@@ -14,6 +14,7 @@ from headway_envs.intersection.layout import (
     ACCOUNT,
     CELLS,
     CROSSING,
+    EXTENDED_SIZE,
     NEAR_SIZE,
     NEIGHBOUR_SIZE,
     NUM_LANES,
@@ -479,6 +480,6 @@ def warm() -> None:
     crossing, traffic, account, scratch = (
         np.zeros(1, dtype) for dtype in (CROSSING, TRAFFIC, ACCOUNT, SCRATCH)
     )
-    slots, nothing = Slots.empty(1, True), np.zeros(0)
+    slots, nothing = Slots.empty(1, EXTENDED_SIZE), np.zeros(0)
     process_step(crossing, traffic, account, scratch, *slots, 0, nothing, 0, 0, 0, 0.0, 0, 0.0)
     target_speeds(np.zeros(1, np.float32), slots.acting, traffic, 0, nothing)

@@ -129,10 +129,10 @@ class Slots(NamedTuple):
     """(N,) rewards summed over the steps of the current action."""
 
     @classmethod
-    def empty(cls, slots: int, extended: bool) -> "Slots":
-        """Return zeroed arrays for `slots` slots."""
+    def empty(cls, slots: int, size: int) -> "Slots":
+        """Return zeroed arrays for `slots` slots and observations of `size` numbers."""
         return cls(
-            observations=np.zeros((slots, EXTENDED_SIZE if extended else PAPER_SIZE), np.float32),
+            observations=np.zeros((slots, size), np.float32),
             alive=np.zeros(slots, np.bool_),
             acting=np.zeros(slots, np.bool_),
             rewards=np.zeros(slots, np.float32),

@@ -1,7 +1,9 @@
 """Names, units and scales of the numbers that the kernel observes."""
 
 from headway.contracts import ObservationFeature
-from headway_envs.intersection.layout import NEIGHBOURS
+from headway_envs import platoons
+from headway_envs.intersection.config import CLEAR_S, GREEN_S
+from headway_envs.intersection.layout import NEIGHBOURS, NUM_LANES
 from headway_envs.intersection.network import ROAD_M, SPEED_LIMIT
 from headway_envs.intersection.prepared import Prepared
 
@@ -10,8 +12,20 @@ _NEAR_M = 50.0
 
 def features(prepared: Prepared) -> tuple[ObservationFeature, ...]:
     """Return the features of the configured observation, in order."""
-    paper = _paper(prepared.network.total_length)
-    return paper if prepared.config.observation == "paper" else (*paper, *_path(), *_near(), *_conflicts())
+    config, paper = prepared.config, _paper(prepared.network.total_length)
+    of_kind = {
+        "paper": paper,
+        "extended": (*paper, *_path(), *_near(), *_conflicts()),
+        "platoons": platoons.features(NUM_LANES, ROAD_M, SPEED_LIMIT),
+    }
+    return (*of_kind[config.observation], *(_clock() if config.clock else ()))
+
+
+def _clock() -> tuple[ObservationFeature, ...]:
+    since = f"of the time since the green of the own road, in the {2 * (GREEN_S + CLEAR_S):.0f} s of a cycle"
+    return ObservationFeature("clock_sine", f"sine {since}"), ObservationFeature(
+        "clock_cosine", f"cosine {since}"
+    )
 
 
 def _paper(length: float) -> tuple[ObservationFeature, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Observations
-from headway_envs.intersection.config import STEP_S
+from headway_envs.intersection.config import CLEAR_S, GREEN_S, STEP_S
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.kernel import MAX_ACCELERATION
 from headway_envs.intersection.network import ROAD_M
@@ -128,18 +128,16 @@ class VirtualSignal:
 
     Sources: virtual traffic lights (Ferreira et al. 2010, "Self-organized traffic control"); control of mixed
     traffic by a few holding vehicles (Wang et al. 2023, arXiv:2301.05294). North and south have green for
-    `GREEN_S`, then east and west. At red an AV holds far before the stop line, because SUMO's drivers wait
-    for a vehicle that stands closer, as if it were about to enter; an AV that is too close to hold drives on.
-    SUMO's checks (`av_speed_mode`) enforce the right of way among vehicles with green. With a `share` below 1
-    the other AVs drive as without a signal, which measures its benefit at partial compliance."""
+    `GREEN_S`, then, after a clearance of `CLEAR_S`, east and west. At red an AV holds far before the stop
+    line, because SUMO's drivers wait for a vehicle that stands closer, as if it were about to enter; an AV
+    that is too close to hold drives on. SUMO's checks (`av_speed_mode`) enforce the right of way among
+    vehicles with green. With a `share` below 1 the other AVs drive as without a signal, which measures its
+    benefit at partial compliance."""
 
     prepared: "Prepared"
     share: float = 1.0
     """Share of AVs that observe the signal."""
 
-    GREEN_S: ClassVar[float] = 30.0
-    CLEAR_S: ClassVar[float] = 4.0
-    """Clearance time between two greens, for AVs too close to hold, s."""
     HOLD_M: ClassVar[float] = 60.0
     """Holding distance before the stop line, m."""
     MARGIN_M: ClassVar[float] = 10.0
@@ -149,8 +147,8 @@ class VirtualSignal:
         """Return accelerations (1, N, 1), m/s^2."""
         native = _require_intersection(env)
         traffic, actions = native.bridge.roster.traffic, _constant_actions(observed)
-        turn, since = divmod(native.steps_taken * STEP_S, self.GREEN_S + self.CLEAR_S)
-        green = int(turn) % 2 if since < self.GREEN_S else None
+        turn, since = divmod(native.steps_taken * STEP_S, GREEN_S + CLEAR_S)
+        green = int(turn) % 2 if since < GREEN_S else None
         for row, slot, vehicle in native.bridge.roster.automated:
             speed, to_hold = float(traffic.speed[row]), ROAD_M - self.HOLD_M - float(traffic.position[row])
             target = _free_speed(native, row)

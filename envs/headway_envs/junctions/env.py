@@ -7,14 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Discrete, EnvSpec, Observations, StepResult, generator
+from headway_envs import platoons
 from headway_envs.junctions import kernel
 from headway_envs.junctions.metrics import METRICS, EpisodeMetrics
-from headway_envs.junctions.observation import features
 from headway_envs.junctions.prepared import Prepared
 from headway_envs.junctions.traffic import ACCELERATIONS, Traffic
 from headway_envs.step_arrays import step_arrays, step_result
 from headway_envs.sumo_env import SumoEnv
 from headway_envs.sumo_simulation import COMMON_OPTIONS
+
+SIGHT_M = 100.0
+"""Distance to the end of an approach from which on vehicles look equally far, m."""
 
 
 class JunctionsBatchedEnv(SumoEnv):
@@ -35,7 +38,7 @@ class JunctionsBatchedEnv(SumoEnv):
         config = self.config = prepared.config
         self.prepared = prepared
         network = prepared.network
-        described = features(prepared.approaches, network.speed_limit)
+        described = platoons.features(prepared.approaches, SIGHT_M, network.speed_limit)
         approaches = len(network.approaches)
         self._spec = EnvSpec(
             name="junctions",
@@ -103,21 +106,25 @@ class JunctionsBatchedEnv(SumoEnv):
         vehicles = self.traffic.vehicles.values()
         approach = np.array([vehicle.approach for vehicle in vehicles], np.int64)
         distance = np.array([vehicle.distance for vehicle in vehicles], np.float64)
-        state = self._observed.states[0]
-        kernel.observe(
+        speed = np.array([vehicle.speed for vehicle in vehicles], np.float64)
+        slot = np.array([vehicle.slot for vehicle in vehicles], np.int64)
+        state, limit = self._observed.states[0], self.prepared.network.speed_limit
+        platoons.observe(
             np.lexsort((distance, approach)),
             approach,
             distance,
-            np.array([vehicle.speed for vehicle in vehicles], np.float64),
-            np.array([vehicle.slot for vehicle in vehicles], np.int64),
+            speed,
+            slot,
             self.prepared.network.others,
-            self.prepared.network.speed_limit,
+            SIGHT_M,
+            limit,
+            self._spec.observation_size // 2,
             np.zeros(len(approach), np.int64),
             self._first,
             self._observed.observations[0],
             self._observed.alive[0],
-            state[:-1],
         )
+        kernel.fill_state(approach, distance, speed, slot, limit, state[:-1])
         state[-1] = self.counters.steps / self.config.horizon
 
     def _metrics(self) -> Sequence[float]:

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Observations
-from headway_envs.junctions.env import JunctionsBatchedEnv
-from headway_envs.junctions.kernel import SIGHT_M
+from headway_envs.junctions.env import SIGHT_M, JunctionsBatchedEnv
 from headway_envs.junctions.network import Signal
 from headway_envs.junctions.prepared import Prepared
 from headway_envs.junctions.traffic import ACCELERATIONS

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from headway.contracts import Rule
-from headway_envs.intersection.config import STEP_S
+from headway_envs.intersection.config import CLEAR_S, GREEN_S, STEP_S
 from headway_envs.intersection.entry import ENTRY
 from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.network import ROAD_M
@@ -102,7 +102,7 @@ def test_avs_at_red_hold_far_before_the_stop_line(crossing: Open) -> None:
     green."""
     env, rule = crossing(vph_per_lane_hdv=0, av_speed_mode=11), VirtualSignal(None)
     observed = env.reset(np.array([3], np.uint64))
-    green_s, half_s = rule.GREEN_S, rule.GREEN_S + rule.CLEAR_S
+    half_s = GREEN_S + CLEAR_S
     before: dict[str, float] = {}
     too_near: set[str] = set()
     entered = held = 0
@@ -111,14 +111,14 @@ def test_avs_at_red_hold_far_before_the_stop_line(crossing: Open) -> None:
         roster, (turn, since) = env.bridge.roster, divmod(step * STEP_S, half_s)
         there = {vehicle: row for row, _, vehicle in roster.automated}
         position, speed = roster.traffic.position, roster.traffic.speed
-        if abs(since - green_s) < STEP_S / 2:
+        if abs(since - GREEN_S) < STEP_S / 2:
             too_near = {
                 vehicle
                 for vehicle, row in there.items()
                 if speed[row] ** 2 > 6 * (ROAD_M - rule.HOLD_M + rule.MARGIN_M - position[row])
             }
         for vehicle, row in there.items():
-            red = roster.traffic.link[row] // 4 % 2 != int(turn) % 2 or since >= green_s
+            red = roster.traffic.link[row] // 4 % 2 != int(turn) % 2 or since >= GREEN_S
             passes = before.get(vehicle, position[row]) < ROAD_M <= position[row]
             entered += passes
             assert not (passes and red) or vehicle in too_near

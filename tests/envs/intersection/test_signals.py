@@ -13,6 +13,7 @@ from headway_envs.intersection.episode_metrics import EpisodeMetrics, jain
 from headway_envs.intersection.layout import (
     ACCOUNT,
     CROSSING,
+    EXTENDED_SIZE,
     REWARD_OWN,
     REWARD_PAPER,
     REWARD_TEAM,
@@ -75,7 +76,7 @@ def _after_step(
     crossing, memory, account, scratch = (
         np.zeros(1, dtype) for dtype in (CROSSING, TRAFFIC, ACCOUNT, SCRATCH)
     )
-    slots, draw = Slots.empty(96, True), np.random.default_rng(9)
+    slots, draw = Slots.empty(96, EXTENDED_SIZE), np.random.default_rng(9)
     slots.acting[::2] = True
     foes = draw.random((16, 16)) < 0.5
     crossing["link_length"], crossing["total_length"], crossing["weights"] = 20.8, LENGTH, 1

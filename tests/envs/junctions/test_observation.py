@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from headway_envs.junctions.files import FOUR_WAY_FILE
-from headway_envs.junctions.kernel import observe
 from headway_envs.junctions.network import Network
+from headway_envs.platoons import observe
 
 Open = Callable[..., Any]
 FAR, GONE = (1.0, -1.0), (-1.0, 1.0)
@@ -24,10 +24,10 @@ def _seen(
     approach, distance, speed, automated = (np.array(column) for column in zip(*vehicles, strict=True))
     slot = np.where(automated, np.arange(len(vehicles)), -1)
     observations, alive = np.full((len(vehicles), 22), 9, np.float32), np.ones(len(vehicles), np.bool_)
-    network, state = Network.read(FOUR_WAY_FILE), np.zeros(12, np.float32)
+    network = Network.read(FOUR_WAY_FILE)
     observe(
-        np.lexsort((distance, approach)), approach, distance, speed, slot, network.others, 13.0,
-        np.zeros(len(vehicles), np.int64), np.zeros(4, np.int64), observations, alive, state,
+        np.lexsort((distance, approach)), approach, distance, speed, slot, network.others, 100.0, 13.0,
+        11, np.zeros(len(vehicles), np.int64), np.zeros(4, np.int64), observations, alive,
     )  # fmt: skip
     assert alive.tolist() == automated.tolist()
     assert (observations[~alive] == 0).all()
