@@ -22,10 +22,8 @@ def features(prepared: Prepared) -> tuple[ObservationFeature, ...]:
 
 
 def _clock() -> tuple[ObservationFeature, ...]:
-    since = f"of the time since the green of the own road, in the {2 * (GREEN_S + CLEAR_S):.0f} s of a cycle"
-    return ObservationFeature("clock_sine", f"sine {since}"), ObservationFeature(
-        "clock_cosine", f"cosine {since}"
-    )
+    since = f"of the time since the own road's green began, in a cycle of {2 * (GREEN_S + CLEAR_S):.0f} s"
+    return tuple(ObservationFeature(f"clock_{wave}", f"{wave} {since}") for wave in ("sine", "cosine"))
 
 
 def _paper(length: float) -> tuple[ObservationFeature, ...]:
