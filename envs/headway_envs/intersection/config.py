@@ -98,8 +98,8 @@ class IntersectionConfig:
     a scale suited to braking, and the next vehicles on conflicting paths. `platoons`: that of the environment
     `junctions`, the platoons on all other entry lanes."""
     clock: bool = False
-    """AVs also observe a clock that they share: sine and cosine of the time since their own road's green began,
-    in the 68 s cycle of the rule `virtual_signal`."""
+    """AVs also observe a clock that they share: sine and cosine of the time since the green of their own road
+    began, in the 68 s cycle of the rule `virtual_signal`."""
     av_speed_mode: int = 7
     """SUMO's checks of commanded speeds, as bits: 1 safe gap, 2 maximum acceleration, 4 maximum braking, 8
     right of way. 1: the paper's value, which allows braking beyond the vehicles' maximum. 11: a safeguard;

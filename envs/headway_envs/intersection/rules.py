@@ -156,6 +156,9 @@ class VirtualSignal:
             if red and self._can_stop(speed, to_hold):
                 target = min(target, _braking_speed(0.0, to_hold))
             actions[0, slot, 0] = _acceleration_to(native, row, target)
+            if speed == target == 0.0:
+                # Drives the same, but policies that imitate it and add noise do not creep past the position.
+                actions[0, slot, 0] = -MAX_ACCELERATION
         return actions
 
     def _complies(self, vehicle: str, episode: tuple[int, int]) -> bool:

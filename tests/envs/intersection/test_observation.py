@@ -125,7 +125,7 @@ def test_the_virtual_signal_is_a_function_of_an_avs_observation_with_the_clock(c
                 target = min(target, math.sqrt(4 * max(to_hold, 0.0)))
             else:
                 free += 1
-            expected = min(max(target - speed, -3.0), 3.0)
+            expected = -3.0 if speed == target == 0 else min(max(target - speed, -3.0), 3.0)
             assert actions[0, slot, 0] == pytest.approx(expected, abs=1e-4)
         _, observed = env.step(actions)
     assert min(held, free) > 300
