@@ -162,7 +162,8 @@ def _registered_id(name: str) -> str | None:
 
 
 def rules_of(name: str) -> Mapping[str, RuleEntry]:
-    """Return the rules of an environment or configuration file; only `random` for a PettingZoo module."""
+    """Return the rules of an environment or configuration file; only `random` for a file that configures a
+    PettingZoo module."""
     own = _registered_id(name)
     if own is None:
         return {"random": RANDOM}
@@ -173,7 +174,7 @@ def rules_of(name: str) -> Mapping[str, RuleEntry]:
 def metrics_of(name: str) -> Mapping[str, str]:
     """Return the metrics of an environment's episodes with their descriptions.
 
-    Empty if the environment describes none, as PettingZoo modules do.
+    Empty if the environment describes none.
     """
     own = _registered_id(name)
     metrics = {} if own is None else env_entry(own).metrics
@@ -195,7 +196,7 @@ def _list_metrics(name: str | None) -> None:
     if not described:
         describing = ", ".join(key for key in _names(None) if metrics_of(key))
         raise HeadwayError(
-            f"{name} does not describe its metrics: its EnvEntry needs `metrics`; "
+            f"{name} does not describe its metrics: its file needs METRICS, or its EnvEntry `metrics`; "
             f"environments that do: {describing}"
         )
     rows = [(key, metric, text) for key, of_env in described.items() for metric, text in of_env.items()]

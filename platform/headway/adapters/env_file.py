@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from headway.contracts.errors import HeadwayError
 
@@ -35,6 +36,11 @@ class EnvFile:
             return cls(path, file.read_bytes())
         except OSError as error:
             raise HeadwayError(f"env.id={path} cannot be read: {error.strerror}") from error
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore from a pickle, and load the module: what is unpickled next, such as a rule, may be its."""
+        vars(self).update(state)
+        self.load()
 
     @cached_property
     def digest(self) -> str:

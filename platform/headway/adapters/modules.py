@@ -5,7 +5,8 @@ else `env` (agents act in turns, AEC), which PettingZoo converts to a parallel e
 declares this to be valid, or else exactly one subclass of ParallelEnv. `env.id=pettingzoo:sisl/pursuit-v5`
 and `env.id=gymnasium:CartPole-v1`: MODULE:ID, where importing the module registers the id with PettingZoo or
 Gymnasium. A Gymnasium environment has one agent.
-`env.args` are the arguments of that function or class.
+`env.args` are the arguments of that function or class. A file may describe its episode metrics in a dict
+`METRICS` and have rules in a dict `RULES`, as in `EnvEntry`.
 """
 
 import importlib
@@ -17,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, make_dataclass, replace
 from functools import partial
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from headway.adapters.installed import require_environment_module, require_regis
 from headway.adapters.pettingzoo import NO_OPTIONS, AdapterOptions, ParallelEnvBatch
 from headway.config.schema import nearest
 from headway.config.signatures import argument_record, as_tuples, takes_any_arguments
-from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, Observations, RandomRule
+from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, Observations, RandomRule, RuleEntry
 from headway.contracts.errors import one_line
 
 _PROBE_STEPS, _PROBE_SECONDS, _PROBE_OBSERVATIONS = 100, 2.0, 20
@@ -35,6 +36,7 @@ _PROBE_STEPS, _PROBE_SECONDS, _PROBE_OBSERVATIONS = 100, 2.0, 20
 observations are checked."""
 _ROUNDING = 1e-5
 _NUMBERED = re.compile(r"(.+?)_?\d+")
+_Declared = TypeVar("_Declared", RuleEntry, str)
 
 
 @dataclass(frozen=True)
@@ -87,16 +89,36 @@ def module_entry(
         record = make_dataclass("Arguments", [(key, Any) for key in arguments], frozen=True)
     else:
         record = argument_record("Arguments", source)
+    rules: Mapping[str, RuleEntry] = {}
+    metrics: Mapping[str, str] = {}
+    if file is not None:
+        rules, metrics = _declared(file, "RULES", RuleEntry), _declared(file, "METRICS", str)
+    options = replace(options, metrics=tuple(metrics) or options.metrics)
     return EnvEntry(
         summary=f"the environment {module}",
         config=record,
         make=make_batch,
         prepare=partial(_prepare, ModuleEnv(module, {}, options, file, notices)),
         parallel_env=partial(_make_parallel, ModuleEnv(module, {}, options, file)),
-        rules={"random": RANDOM},
+        rules={"random": RANDOM, **rules},
+        metrics=metrics,
         renderer=ModuleRenderer,
         preload=("headway.adapters.modules", *([] if file else [module.partition(":")[0]])),
     )
+
+
+def _declared(file: EnvFile, name: str, kind: type[_Declared]) -> Mapping[str, _Declared]:
+    """Return the dict `name` of an environment's file; empty without one. Raises HeadwayError unless it maps
+    names to values of `kind`."""
+    declared = vars(file.load()).get(name, {})
+    if not isinstance(declared, Mapping):
+        raise HeadwayError(f"env.id={file.path}: {name} must be a dict, not {declared!r}")
+    for key, value in declared.items():
+        if not isinstance(key, str) or not isinstance(value, kind):
+            raise HeadwayError(
+                f"env.id={file.path}: {name} must map names to {kind.__name__}, not {key!r} to {value!r}"
+            )
+    return declared
 
 
 def takes_any_keyword(module: str) -> bool:

@@ -172,3 +172,38 @@ def test_a_missing_file_is_a_one_line_error(tmp_path: Path) -> None:
             HeadwayError, match="there is no such file; correct the path, or restore the file"
         ):
             EnvFile.read(str(path))
+
+
+DECLARED = (
+    SHUTTLE
+    + """
+from headway.api import RuleEntry
+
+class Still:
+    def act(self, env, observed):
+        return np.zeros(observed.observations.shape[:2], np.int64)
+
+METRICS = {"late": "departures after their time"}
+RULES = {"still": RuleEntry("all cars wait", lambda prepared: Still())}
+"""
+)
+
+
+def test_a_file_describes_its_metrics_and_has_rules(tmp_path: Path) -> None:
+    entry = module_entry(written(tmp_path, DECLARED))
+    assert entry.metrics == {"late": "departures after their time"}
+    assert list(entry.rules) == ["random", "still"]
+    assert module_entry(written(tmp_path, SHUTTLE, "plain.py")).metrics == {}
+
+
+@pytest.mark.parametrize(
+    ("declared", "problem"),
+    [
+        ("METRICS = ['late']", r"METRICS must be a dict, not \['late'\]"),
+        ("METRICS = {'late': 3}", "METRICS must map names to str, not 'late' to 3"),
+        ("RULES = {'still': 'wait'}", "RULES must map names to RuleEntry, not 'still' to 'wait'"),
+    ],
+)
+def test_metrics_and_rules_of_a_file_are_checked(declared: str, problem: str, tmp_path: Path) -> None:
+    with pytest.raises(HeadwayError, match=rf"^env\.id=.*shuttle\.py: {problem}$"):
+        module_entry(written(tmp_path, f"{SHUTTLE}\n{declared}\n"))
