@@ -282,6 +282,14 @@ class BusConfig:
     noncompliant_share: float = 0.0
     """Only with `control=holding`: probability that a driver does not comply, drawn for each bus and day.
     Such a bus is never held, under learners and rules alike, and its actions are not used."""
+    skipping: bool = False
+    """Only with `control=holding` and its Discrete actions. True: one more action, leave at once and skip the
+    next stop. Nobody boards there, and the bus stops only for those who alight, if any. It may skip neither
+    the last stop of its trip nor one that the last bus to leave the stop before skips too."""
+    boarding_limit: float = 1.0
+    """Only with `control=holding` and its Discrete actions. Below 1: one more action, leave at once and, at
+    the next stop, let only this share of those who wait board, rounded up. Not at the last stop of a trip. 1:
+    no such action; for 0 there is `skipping`."""
     start_hour: int = 5
     """Start of the service day, h."""
     end_hour: int = 24
@@ -350,10 +358,22 @@ class BusConfig:
             self, "hold_levels", self.hold_levels in (0, *range(2, 1001)), "must be 0, or 2 to 1000"
         )
         require_value(self, "control_every", self.control_every >= 1, "must be at least 1")
-        of_holding = ("max_hold_s", "hold_levels", "control_every", "noncompliant_share")
+        of_holding = (
+            *("max_hold_s", "hold_levels", "control_every", "noncompliant_share"),
+            *("skipping", "boarding_limit"),
+        )
         for name in ("hold_s",) if self.holds else of_holding:
             same = getattr(self, name) == getattr(type(self), name)
             require_key(same, name, f"has no effect with control={self.control}; leave it out")
+        require_value(
+            self,
+            "boarding_limit",
+            0 < self.boarding_limit <= 1,
+            "must be above 0 and at most 1; for 0 skip stops",
+        )
+        for name in ("skipping", "boarding_limit"):
+            same = getattr(self, name) == getattr(type(self), name)
+            require_key(same or self.hold_levels > 0, name, "needs Discrete actions, not hold_levels=0")
         require(4 <= self.start_hour < self.end_hour <= 26, "4 <= start_hour < end_hour <= 26 must hold")
         require_value(
             self, "tick_s", self.day_s % self.tick_s == 0, f"must divide the service day of {self.day_s:g} s"
@@ -381,6 +401,17 @@ class BusConfig:
     def holds(self) -> bool:
         """Whether actions are holding times."""
         return self.control == "holding"
+
+    @property
+    def limits_boarding(self) -> bool:
+        """Whether there is an action that limits boarding."""
+        return self.boarding_limit < 1.0
+
+    @property
+    def num_actions(self) -> int:
+        """Number of Discrete actions with `control=holding`: holding times, then skipping, then the boarding
+        limit."""
+        return self.hold_levels + self.skipping + self.limits_boarding
 
     @property
     def hold_step_s(self) -> float:

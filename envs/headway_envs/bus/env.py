@@ -11,7 +11,7 @@ from headway_envs.bus.config import BusConfig
 from headway_envs.bus.kernel import tick
 from headway_envs.bus.kernel.allocation import allocate_trace, allocate_world, state_size
 from headway_envs.bus.kernel.future import redraw
-from headway_envs.bus.kernel.layout import OBSERVATION_SIZES, Outputs, World
+from headway_envs.bus.kernel.layout import LIMIT_NEXT, OBSERVATION_SIZES, SKIP_NEXT, Outputs, World
 from headway_envs.bus.metrics import METRICS
 from headway_envs.bus.observation import features
 from headway_envs.bus.prepared import Prepared
@@ -24,8 +24,8 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
     """C service days stepped together; implements `headway.contracts.BatchedEnv`.
 
     Agents are vehicle slots. Actions are 0 WAIT, 1 MOVE, 2 SERVICE_CENTER or, with `control=holding`, holding
-    times; they are latched for one control interval and used at each decision event in it (`acting`), at its
-    exact time.
+    times, then skipping and limited boarding where configured; they are latched for one control interval and
+    used at each decision event in it (`acting`), at its exact time.
 
     With `control=holding` decisions are asynchronous: a bus decides again after k control intervals, k
     differing from decision to decision, and its actions between are not used. Rewards are paid in every
@@ -59,12 +59,13 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
             groups=prepared.groups,
             shared_reward=config.reward.scope == "team",
             shared_in_groups=config.reward.scope == "line",
-            has_action_mask=not config.holds,
+            has_action_mask=not config.holds or config.num_actions > config.hold_levels,
             agents_come_and_go=True,
             metrics=METRICS,
             observation_features=features(prepared),
             snapshots=True,
         )
+        self._orders = _orders(config)
         self.outputs = Outputs(**self._arrays(copies, Outputs._fields))
         self.world = allocate_world(self.network, copies, config.capacity)
         self.trace = allocate_trace(self.network, copies, traced)
@@ -73,11 +74,12 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
 
     def step(self, actions: NDArray[Any]) -> tuple[StepResult, Observations]:
         """Advance by one control interval; actions (C, N) int64 of 0 to 2. With `control=holding`, numbers of
-        `hold_levels`, or (C, N, 1) float32 of holding times, s, which are clipped to [0, `max_hold_s`] and
-        rounded to milliseconds.
+        `hold_levels` and of the actions after them, or (C, N, 1) float32 of holding times, s, which are
+        clipped to [0, `max_hold_s`] and rounded to milliseconds.
 
         A bus that is away or broken down ignores its action; SERVICE_CENTER acts as MOVE if the centre does
-        not accept the bus.
+        not accept the bus. Skipping and limited boarding act as a holding time of 0 where the bus may not
+        do that at its decision.
 
         Raises ValueError for any other shape of actions.
         """
@@ -85,9 +87,9 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
         if isinstance(self._spec.action_space, Box):
             actions = np.rint(1000.0 * np.clip(actions, 0.0, config.max_hold_s).astype(np.float64))
             actions = actions.squeeze(-1) if actions.shape[-1:] == (1,) else actions
-        elif config.holds:
-            actions = np.rint(1000.0 * config.hold_step_s * np.asarray(actions))
         actions = self._checked(actions)
+        if self._orders is not None:
+            actions = self._orders[actions]
         outputs = self.outputs
         if tick.step(self.network, self.settings, self.world, outputs, actions, self.trace):
             tick.start_next_days(self.network, self.settings, self.world, outputs)
@@ -150,4 +152,14 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
 def _action_space(config: BusConfig) -> Discrete | Box:
     if not config.holds:
         return Discrete(3)
-    return Discrete(config.hold_levels) if config.hold_levels else Box((0.0,), (config.max_hold_s,))
+    return Discrete(config.num_actions) if config.hold_levels else Box((0.0,), (config.max_hold_s,))
+
+
+def _orders(config: BusConfig) -> NDArray[np.int64] | None:
+    """Return what each Discrete action is to the kernel, if that is not its number: a holding time, ms,
+    SKIP_NEXT or LIMIT_NEXT."""
+    if not config.holds or not config.hold_levels:
+        return None
+    times = np.rint(1000.0 * config.hold_step_s * np.arange(config.hold_levels)).astype(np.int64)
+    further = [SKIP_NEXT] * config.skipping + [LIMIT_NEXT] * config.limits_boarding
+    return np.append(times, np.array(further, np.int64))

@@ -7,7 +7,8 @@ METRIC_DESCRIPTIONS = {
     "excess_wait_min": "mean wait of random arrivals in excess of that at the target headways, minutes",
     "headway_cv": "coefficient of variation of headways over their targets, at departures from stops",
     "bunched_share": "share of departures with a headway below a quarter of the target",
-    "denied_boardings": "number of times that a passenger was left behind by a full bus",
+    "denied_boardings": "number of times that a passenger was left behind by a full bus, or "
+    "by one that skipped the stop or limited boarding",
     "boardings": "number of boarding passengers",
     "lost_share": "share of arriving passengers who took the competing service or found no room to wait; not "
     "0 under a regular service unless env.args.captive_share=1",
@@ -31,7 +32,7 @@ METRIC_DESCRIPTIONS = {
     "buses, by stop of a pattern; mean over the stops with at least two arrivals (passengers)",
     "travel_min": "mean_wait_min plus in_vehicle_min, minutes",
     "queueing_min": "part of mean_wait_min that begins when the first bus leaves without the passenger, "
-    "because it is full, minutes",
+    "minutes",
     "schedule_deviation_s": "mean absolute difference between departure and planned time, at departures "
     "from all stops but the last, s",
     "headway_sd_s": "standard deviation of the headways at departure, by stop of a pattern over the day, s; "
@@ -40,6 +41,8 @@ METRIC_DESCRIPTIONS = {
     "the day, with the planned changes of headway; mean over the stops with at least two headways",
     "bunching_events": "number of times that a bus closes up: it leaves a stop with a headway below a "
     "quarter of the target, after a larger one at its last departure of the trip or as the first departure",
+    "skipped_stops_per_trip": "number of stops skipped per finished trip",
+    "limited_stops_per_trip": "number of stops with limited boarding per finished trip",
     "team_reward": "sum of the team's reward over the day, equal to the return with "
     "env.args.reward.scope=team: number of control intervals (length) * (0.4 reward_service + 0.1 "
     "reward_efficiency + 0.1 reward_maintenance + 0.4 reward_regularity), with the weights "

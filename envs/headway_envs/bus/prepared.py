@@ -105,6 +105,8 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "late_s": disruptions.late_s,
         "late_bus": disruptions.late_bus if disruptions.late_s > 0.0 else -1,
         "holding": float(config.holds),
+        "skip_action": config.hold_levels if config.skipping else -1,
+        "limit_action": config.num_actions - 1 if config.limits_boarding else -1,
     }
 
 

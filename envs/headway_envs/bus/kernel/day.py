@@ -177,4 +177,6 @@ def end_day(net: Network, k: Record, world: World, c: int, metrics: NDArray[np.f
     metrics[24] = day.queueing / waits / 60.0
     metrics[25] = day.schedule_deviation / loads
     metrics[28] = day.bunching_events
-    metrics[29] = day.reward
+    metrics[29] = day.skipped / max(durations.shape[0], 1)
+    metrics[30] = day.limited / max(durations.shape[0], 1)
+    metrics[31] = day.reward

@@ -34,6 +34,10 @@ at a stop, boards, then decides; AWAY: at the service centre; BROKEN: broken dow
 WAIT, MOVE, SERVICE_CENTER = 0, 1, 2
 """Actions."""
 
+SKIP_NEXT, LIMIT_NEXT = -1, -2
+"""With the setting `holding`, actions besides holding times: leave at once, and let no more passengers board
+at the next stop, or only the share `boarding_limit` of those who wait."""
+
 SCOPE_TEAM, SCOPE_LINE, SCOPE_OWN = 0, 1, 2
 """Values of the setting `scope`: each slot receives the reward of the team, of its line, or of its own
 bus."""
@@ -139,6 +143,7 @@ SETTINGS = np.dtype(
             "breakdown_s",
             "late_s",
             "noncompliant_share",
+            "boarding_limit",
         ]
     ]
     + [
@@ -155,6 +160,8 @@ SETTINGS = np.dtype(
             "late_bus",
             "holding",
             "control_every",
+            "skip_action",
+            "limit_action",
         ]
     ],
     align=True,
@@ -163,8 +170,9 @@ SETTINGS = np.dtype(
 arrivals; `breakdown_cost`: reward that a bus loses by running out of fuel; `low_occupancy`: occupancy below
 which e is penalised, 0 if it is not; `observation`: 0 paper, 1 published, 2 control; `scope`: SCOPE_TEAM,
 SCOPE_LINE or SCOPE_OWN; `slow_s`: start of the hour of slow links, infinite without; `breakdown_bus`,
-`late_bus`: slots, -1 without; `holding`: actions are holding times, ms, instead of WAIT, MOVE and
-SERVICE_CENTER."""
+`late_bus`: slots, -1 without; `holding`: actions are holding times, ms, SKIP_NEXT or LIMIT_NEXT,
+instead of WAIT, MOVE and SERVICE_CENTER; `skip_action`, `limit_action`: places of the latter two among the
+action masks, -1 without."""
 
 SLOT = np.dtype(
     [
@@ -180,6 +188,9 @@ SLOT = np.dtype(
         ("trip_left", np.float64),  # time of departure on the trip
         ("held", np.float64),  # holding time at this stop, s
         ("complies", np.bool_),  # whether the driver complies with holding
+        ("passes", np.bool_),  # whether the bus skips this stop: it neither lets board nor decides
+        ("closed", np.bool_),  # whether no more passengers may board at this stop
+        ("at_next", np.int64),  # what to do at the next stop: SKIP_NEXT, LIMIT_NEXT or, if 0, serve it
         ("trip_factor", np.float64),
         ("fuel", np.float64),
         ("uptime", np.float64),
@@ -205,7 +216,7 @@ QUEUE = np.dtype(
         ("next_arrival", np.float64),
         ("drawn", np.int64),  # number of arrivals drawn so far
         ("waiting", np.int64),  # number of waiting passengers
-        ("denied", np.int64),  # number of passengers at the queue's head left behind by a full bus
+        ("denied", np.int64),  # number of passengers at the queue's head left behind by a bus
         ("hour", np.int64),  # hour of `hour_factor`
         ("hour_factor", np.float64),  # random factor on the arrival rate
         ("last_departure", np.float64),
@@ -222,10 +233,12 @@ CALL = np.dtype(
         ("arrivals", np.uint32),
         ("load", np.uint32),  # sum of the loads of arriving buses
         ("load_squared", np.uint32),
+        ("skipped", np.bool_),  # whether the last bus to leave the stop before skips this one
     ],
     align=True,
 )
-"""Totals of the day at one call. Not in QUEUE, which every control interval scans."""
+"""Totals of the day at one call, and whether it was skipped last. Not in QUEUE, which every control interval
+scans."""
 
 PATTERN = np.dtype([("last_finish", np.float64), ("next_trip", np.int64)], align=True)
 """State of one pattern: time of the last arrival at its end, and its first trip that has not left."""
@@ -256,6 +269,8 @@ COUNTS = [
     "requeued",
     "lost",
     "denied",
+    "skipped",
+    "limited",
     "visits",
     "breakdowns",
     "headways",

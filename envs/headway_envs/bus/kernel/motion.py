@@ -27,8 +27,10 @@ from headway_envs.bus.kernel.layout import (
     DEPOT,
     DISPATCHED,
     DRIVING,
+    LIMIT_NEXT,
     MOVE,
     SERVICE_CENTER,
+    SKIP_NEXT,
     STANDING,
     TERMINAL,
     Network,
@@ -155,7 +157,7 @@ def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -
     queue.last_departure = time
     departure = net.trip_departure[slot.trip]
     day.schedule_deviation += abs(time - departure - interpolate(net.nominal, slot.call, departure))
-    # Passengers who still wait when a bus leaves were left behind by a full bus.
+    # Passengers who still wait when a bus leaves were left behind.
     day.denied += queue.waiting
     queue.denied = queue.waiting
     day.loads += 1
@@ -168,9 +170,12 @@ def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         # Trips may leave out of order: skip those that have left.
         while pattern.next_trip < last and world.departed[c, pattern.next_trip]:
             pattern.next_trip += 1
+    world.calls[c, slot.call + 1].skipped = slot.at_next == SKIP_NEXT
     slot.phase = DRIVING
     slot.left = time
     slot.held = 0.0
+    slot.passes = False
+    slot.closed = False
     world.event_time[c, n] = time + link_time(net, k, world, c, n, time)
 
 
@@ -181,6 +186,8 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
     charge_upkeep(k, world, c, n, time, 1.0)
     planned = n == day.breakdown_bus and time >= k.breakdown_s
     slot.call += 1
+    order = slot.at_next
+    slot.at_next = 0
     call = world.calls[c, slot.call]
     call.arrivals += 1
     call.load += slot.load
@@ -208,7 +215,16 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         world.event_time[c, n] = time + k.broken_s
     else:
         slot.phase = STANDING
-        dwell = alighting * k.alighting_s + board(net, k, world, c, n, time) * k.boarding_s
+        share = 1.0
+        if order == SKIP_NEXT:
+            share = 0.0
+            slot.passes = True
+            day.skipped += 1
+        elif order == LIMIT_NEXT:
+            share = k.boarding_limit
+            day.limited += 1
+        slot.closed = order != 0
+        dwell = alighting * k.alighting_s + board(net, k, world, c, n, time, share) * k.boarding_s
         if dwell > 0.0:
             dwell += k.fixed_dwell_s
         world.event_time[c, n] = time + dwell
@@ -235,14 +251,24 @@ def dispatch(k: Record, world: World, c: int, n: int, time: float) -> None:
     world.event_time[c, n] = time + delay
 
 
+@compiled
+def may_restrict(net: Network, world: World, c: int, pattern: int, call: int, order: int) -> bool:
+    """Return whether a bus that leaves `call` may skip the next stop or limit boarding there. The last stop
+    of a trip must be served, and no two buses skip the same stop one after the other."""
+    if call + 1 >= net.pattern_calls[pattern + 1] - 1:
+        return False
+    return bool(order != SKIP_NEXT or not world.calls[c, call + 1].skipped)
+
+
 # Not inlined, to keep the code that decides every minute small.
 @compiled_apart
-def apply_holding(net: Network, k: Record, world: World, c: int, n: int, time: float, hold_ms: int) -> bool:
-    """Hold a bus that is ready to leave, once per stop; return whether it was the bus's decision.
+def apply_holding(net: Network, k: Record, world: World, c: int, n: int, time: float, action: int) -> bool:
+    """Hold a bus that is ready to leave, once per stop; return whether it was the bus's decision. `action`:
+    holding time, ms, or SKIP_NEXT or LIMIT_NEXT, which act as 0 ms where the bus may not do that.
 
-    There is none where the bus has been held already, at a stop without control (all but every
-    `control_every`-th), at a terminal from which the bus goes to service, and with a driver who does not
-    comply.
+    There is no decision where the bus has been held already, at a stop that it skips, at one without control
+    (all but every `control_every`-th), at a terminal from which the bus goes to service, and with a driver
+    who does not comply.
     """
     slot = world.slots[c, n]
     at_terminal = slot.phase == TERMINAL
@@ -250,8 +276,10 @@ def apply_holding(net: Network, k: Record, world: World, c: int, n: int, time: f
         leave_for_service(net, k, world, c, n, time)
         return False
     passed = slot.call - net.pattern_calls[slot.pattern]
-    decides = slot.complies and slot.held == 0.0 and passed % k.control_every == 0
-    slot.held = hold_s = 0.001 * hold_ms if decides else 0.0
+    decides = slot.complies and slot.held == 0.0 and not slot.passes and passed % k.control_every == 0
+    if decides and action < 0 and may_restrict(net, world, c, slot.pattern, slot.call, action):
+        slot.at_next = action
+    slot.held = hold_s = 0.001 * max(action, 0) if decides else 0.0
     if at_terminal:
         dispatch(k, world, c, n, time + hold_s)
     elif hold_s > 0.0:
@@ -317,7 +345,7 @@ def process_event(net: Network, k: Record, world: World, c: int, n: int, time: f
     else:
         slot.worked = time
     # Passengers who have come during the dwell still board; a bus at a stop decides once there are none.
-    boarded = board(net, k, world, c, n, time)
+    boarded = board(net, k, world, c, n, time, 0.0 if slot.closed else 1.0)
     if slot.phase == TERMINAL:
         return apply_action(net, k, world, c, n, time, action)
     if boarded > 0:

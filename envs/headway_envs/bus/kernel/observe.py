@@ -14,9 +14,11 @@ from headway_envs.bus.kernel.layout import (
     DEPOT,
     DISPATCHED,
     DRIVING,
+    LIMIT_NEXT,
     LINE_STATE,
     MOVE,
     SERVICE_CENTER,
+    SKIP_NEXT,
     STANDING,
     TERMINAL,
     WAIT,
@@ -24,6 +26,7 @@ from headway_envs.bus.kernel.layout import (
     Record,
     World,
 )
+from headway_envs.bus.kernel.motion import may_restrict
 from headway_envs.bus.kernel.upkeep import is_serviceable
 
 
@@ -112,6 +115,20 @@ def _observe_network(net: Network, k: Record, world: World, c: int, n: int, out:
 
 
 @compiled
+def _mask_restrictions(
+    net: Network, k: Record, world: World, c: int, n: int, alive: bool, mask: NDArray[np.bool_]
+) -> None:
+    """Mask skipping and boarding limits where the bus may not order them at its next decision."""
+    slot = world.slots[c, n]
+    place = slot.call + (slot.phase == DRIVING or slot.phase == DISPATCHED) + (slot.at_next == SKIP_NEXT)
+    mask[:] = True
+    if k.skip_action >= 0 and alive:
+        mask[k.skip_action] = may_restrict(net, world, c, slot.pattern, place, SKIP_NEXT)
+    if k.limit_action >= 0 and alive:
+        mask[k.limit_action] = may_restrict(net, world, c, slot.pattern, place, LIMIT_NEXT)
+
+
+@compiled
 def observe(
     net: Network,
     k: Record,
@@ -121,8 +138,8 @@ def observe(
     alive: NDArray[np.bool_],
     masks: NDArray[np.bool_],
 ) -> None:
-    """Fill observations (N, D), alive mask (N,) and action masks (N, 3) of one copy; actions that are holding
-    times have no masks.
+    """Fill observations (N, D), alive mask (N,) and action masks (N, A) of one copy; actions that are only
+    holding times have no masks.
 
     A slot is alive while it is out of the depot, and already in the interval of its first decision. Rows of
     dead slots are zeros, with all actions allowed.
@@ -138,6 +155,8 @@ def observe(
             unavailable = phase in (AWAY, BROKEN) or (phase == DEPOT and k.service_below < 1.0)
             serviceable = not unavailable and is_serviceable(k, world, c, n)
             masks[n, SERVICE_CENTER] = serviceable or not alive[n]
+        elif k.skip_action >= 0 or k.limit_action >= 0:
+            _mask_restrictions(net, k, world, c, n, alive[n], masks[n])
         if not alive[n]:
             observations[n, :] = 0.0
         elif k.observation == 3:

@@ -1,5 +1,7 @@
 """Queues at the calls: exact arrival times of waiting passengers, boarding and alighting."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,7 +78,7 @@ def update_queue(net: Network, k: Record, world: World, c: int, call: int, patte
                 world.arrived_at[c, first + kept] = world.arrived_at[c, first + i]
                 world.leaves_at[c, first + kept] = world.leaves_at[c, first + i]
             kept += 1
-            # Passengers left behind by a full bus are the first in the queue.
+            # Passengers left behind by a bus are the first in the queue.
             denied += i < queue.denied
     day.lost += queue.waiting - kept
     queue.waiting = kept
@@ -90,12 +92,13 @@ def count_wait(waits: NDArray[np.uint32], wait: float) -> None:
 
 
 @compiled
-def board(net: Network, k: Record, world: World, c: int, n: int, time: float) -> int:
-    """Let waiting passengers board at the slot's call, first come first served; return their number."""
+def board(net: Network, k: Record, world: World, c: int, n: int, time: float, share: float) -> int:
+    """Let at most a share of the waiting passengers, rounded up, board at the slot's call, first come first
+    served; return their number."""
     slot, day = world.slots[c, n], world.days[c]
     update_queue(net, k, world, c, slot.call, slot.pattern, time)
     queue = world.queues[c, slot.call]
-    boarding = min(queue.waiting, k.capacity - slot.load)
+    boarding = min(math.ceil(share * queue.waiting), k.capacity - slot.load)
     if boarding == 0:
         return 0
     first = net.queue_first[slot.call]

@@ -46,7 +46,7 @@ def maintenance(k: Record, slot: Record) -> float:
 @compiled
 def service(net: Network, k: Record, world: World, c: int, line: int) -> float:
     """Return q of a line, at least -3: 1 - number of waiting passengers / their number under a regular
-    service. Passengers left behind by a full bus count twice."""
+    service. Passengers left behind by a bus count twice."""
     now, waiting = world.days[c].now, 0
     for p in range(net.line_patterns[line], net.line_patterns[line + 1]):
         for call in range(net.pattern_calls[p], net.pattern_calls[p + 1] - 1):

@@ -50,10 +50,14 @@ class ForwardHeadway(HoldingLaw):
 
 @dataclass(frozen=True)
 class TwoWayHeadway(HoldingLaw):
-    """slack + gain (b - h): Daganzo and Pilachowski 2011, "Reducing bunching with bus-to-bus cooperation",
-    Transportation Research Part B 45.
+    """slack + gain (b - h), after Daganzo and Pilachowski 2011, "Reducing bunching with bus-to-bus
+    cooperation", Transportation Research Part B 45.
 
-    The paper adjusts speeds continuously by both spacings; this is its form for holding at stops.
+    The paper does not hold: buses adjust their cruising speed all the time by the spacings in front and
+    behind, "much as if successive bus pairs were connected by springs" (its abstract,
+    escholarship.org/uc/item/0551g0zw). Two equal springs pull by the difference of these spacings. Here a
+    holding time takes the place of a lower speed, and slack that of the speed in reserve; gain and slack are
+    tuned, not the paper's.
     """
 
     gain: float
