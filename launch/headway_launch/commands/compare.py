@@ -64,9 +64,9 @@ a cell with one seed, over training seeds and episodes for a cell with several. 
 rule with the highest mean return. Pairs of learners, of different studies if several are named, are compared
 by the first metric: paired by episode but not by seed, with an interval and a p-value over the seeds of both
 and the episodes. p (Holm) is corrected for the number of pairs; --where selects fewer.
-The tables round the numbers of a metric to two significant digits of its narrowest interval; so do markdown
-and latex (for the package booktabs), which have one row per controller or pair; csv and json have all digits
-and one row per difference. `headway list metrics ENVIRONMENT` describes the metrics.
+The tables round the numbers of a metric to three significant digits of its narrowest interval; markdown and
+latex (for the package booktabs), which have one row per controller or pair, to two; csv and json have all
+digits and one row per difference. `headway list metrics ENVIRONMENT` describes the metrics.
 """
 
 

@@ -134,7 +134,7 @@ class Comparison:
         ]
 
     def rounded(self) -> list[tuple[Value, ...]]:
-        """Return the rows with numbers rounded to `decimals`."""
+        """Return the rows rounded to one digit more than `decimals`: shown means differ by what is shown."""
         decimals = self.decimals
         return [
             tuple(
@@ -156,7 +156,7 @@ def _decimals(intervals: Iterable[tuple[str, float | None, float | None]]) -> di
 
 
 def _rounded(value: float, decimals: int | None) -> float:
-    return value if decimals is None else round(value, decimals) + 0.0  # no -0.0
+    return value if decimals is None else round(value, decimals + 1) + 0.0  # no -0.0
 
 
 def comparison_table(comparison: Comparison, note: str = "") -> Table:

@@ -47,13 +47,13 @@ def test_rules_are_compared_where_the_default_algorithm_cannot_run() -> None:
     assert {row[1] for row in rows[1:]} == {"rule always_move", "rule two_way_headway"}
 
 
-def test_the_table_has_two_digits_of_the_interval_and_json_all() -> None:
+def test_the_table_has_three_digits_of_the_interval_and_json_all() -> None:
     asked = ["compare", *GAME, "--episodes", "4", "--metrics", "return"]
     exact = {row["controller"]: row for row in json.loads(output(*asked, "--format", "json").out)}
     shown = csv.DictReader(output(*asked).out.splitlines(), delimiter="\t")
     found = exact["rule random"]
     width = found["95% high"] - found["95% low"]
-    unit = 10.0 ** (math.floor(math.log10(width)) - 1)  # of the second digit of the interval's width
+    unit = 10.0 ** (math.floor(math.log10(width)) - 2)  # of the third digit of the interval's width
     for row in shown:
         for name in ("mean", "minus optimal", "95% low", "95% high"):
             if row[name]:
