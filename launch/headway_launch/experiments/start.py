@@ -69,8 +69,8 @@ def parent_run(experiment: Experiment, policy: ActingPolicy) -> ParentRun | None
 def _require_start(experiment: Experiment, key: str) -> None:
     if not experiment.algo.starts or experiment.algo.contributor is not None:
         raise HeadwayError(
-            f"{key}: {experiment.algo_name} starts from random parameters only; use another algorithm, such "
-            "as algo=ippo"
+            f"{key}: {experiment.algo_name} starts from random parameters only; set {key}=null, or another "
+            "algorithm, such as algo=ippo"
         )
     start = experiment.config.start
     if start.anchors and (line := experiment.algo.refuses_anchor(experiment.algo_config, start.kl_coeff)):
