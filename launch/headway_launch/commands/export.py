@@ -39,7 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", metavar="RUN", help="name of the run, as in `headway runs`")
     parser.add_argument("--format", default="npz", help="npz, onnx or torchscript (default: npz)")
     parser.add_argument(
-        "--output", help="file to write (default: RUN.npz, RUN.onnx or RUN.pt; with --best RUN-best.npz, ...)"
+        "-o",
+        "--output",
+        metavar="FILE",
+        help="file to write (default: RUN.npz, RUN.onnx or RUN.pt; with --best RUN-best.npz, ...)",
     )
     add_best_argument(parser)
     add_store_argument(parser)

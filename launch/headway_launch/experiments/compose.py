@@ -275,7 +275,7 @@ def _composer_of(words: Sequence[str], file: Path | None = None) -> Callable[[Ma
     preset = choices.get("preset") or NO_PRESET
     if not preset.startswith(_DEFAULT) and preset not in option_names("preset"):
         raise HeadwayError(unknown_option(file, "preset", preset, option_names("preset")))
-    values = _preset_values(presets, mapping, by_default=preset.startswith(_DEFAULT))
+    values = _preset_values(presets, mapping, preset)
 
     def composed(further: Mapping[str, Any]) -> Experiment:
         given = mapping
@@ -308,19 +308,17 @@ def _with_parent_named(experiment: Experiment) -> Experiment:
     return replace(experiment, config=replace(config, start=replace(config.start, run=name)))
 
 
-def _preset_values(
-    presets: Mapping[str, Any], mapping: Mapping[str, Any], by_default: bool
-) -> Mapping[str, Any]:
-    """Return a preset's values for the experiment's algorithm.
+def _preset_values(presets: Mapping[str, Any], mapping: Mapping[str, Any], preset: str) -> Mapping[str, Any]:
+    """Return the values of `preset` for the experiment's algorithm.
 
     If it has none, return nothing for a preset that applies by default and raise HeadwayError for any other.
     """
     name = str((mapping.get("algo") or {}).get("name"))
-    if not presets or (by_default and name not in presets):
+    if not presets or (preset.startswith(_DEFAULT) and name not in presets):
         return {}
     if name not in presets:
         raise HeadwayError(
-            f"the preset has no values for algo={name}; it has values for {', '.join(sorted(presets))} "
+            f"preset={preset} has no values for algo={name}; it has values for {', '.join(sorted(presets))} "
             f"(preset={NO_PRESET} keeps the defaults)"
         )
     values: Mapping[str, Any] = presets[name] or {}

@@ -29,9 +29,7 @@ class EnvFile:
         if not file.is_absolute():
             raise HeadwayError(f"env.id={path}: a stored path must be absolute; correct it to use the run")
         if not file.is_file():
-            raise HeadwayError(
-                f"env.id={path}: there is no such file; correct the path, or restore the file that a run used"
-            )
+            raise HeadwayError(f"env.id={path}: there is no such file; correct the path, or restore the file")
         try:
             return cls(path, file.read_bytes())
         except OSError as error:

@@ -123,7 +123,8 @@ def _newest_valid(
     if notices:
         raise HeadwayError(f"every checkpoint in {where} is broken: start a new run ({'; '.join(notices)})")
     raise HeadwayError(
-        f"there is no checkpoint in {where}: start a new run; archives hold them with --checkpoints only"
+        f"there is no checkpoint in {where}: train longer or anew; if it is from an archive, write that with "
+        "--checkpoints"
     )
 
 

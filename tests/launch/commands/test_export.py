@@ -135,7 +135,7 @@ def test_wrong_arguments_are_one_line(tmp_path: Path, monkeypatch: pytest.Monkey
     folder = keep_run_on(tmp_path / "runs", KINDS["independent box"])
     export = "export", folder.name
     assert "unknown 'onyx'; did you mean onnx?" in refused(*export, "--format", "onyx")
-    assert "must end in .npz" in refused(*export, "--output", "policy.onnx")
+    assert "must end in .npz" in refused(*export, "-o", "policy.onnx")
     assert "there is no folder nowhere; create it first" in refused(*export, "--output", "nowhere/policy.npz")
     Path("policy.npz").mkdir()
     assert "policy.npz cannot be written" in refused(*export, "--output", "policy.npz")

@@ -423,8 +423,8 @@ def _at_stops(calls: Columns, stops: tuple[int, ...], key: str) -> NDArray[np.bo
     for stop in stops:
         if stop not in calls["stop"]:
             raise HeadwayError(
-                f"env.args.disruptions.{key}: no trip calls at stop {stop}; choose numbers of the stops "
-                f"table, such as {calls['stop'][0]}"
+                f"env.args.disruptions.{key}: no trip calls at stop {stop}; choose from column `stop` of "
+                f"the scenario's table `stops`, such as {calls['stop'][0]}"
             )
     return np.isin(calls["stop"], stops) if stops else np.ones(len(calls["stop"]), np.bool_)
 
