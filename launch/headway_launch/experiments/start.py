@@ -1,5 +1,6 @@
 """What training starts from instead of random parameters: a rule of the environment, or another run."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from headway.store.run_folder import CHECKPOINTS, RunRecord, find_run
 from headway.store.run_plan import RunPlan
 from headway.training.loop import ParentRun
 from headway_launch.experiments.compose import Experiment, PreparedEnv, require_rule
+from headway_launch.experiments.override_words import written
 from headway_launch.experiments.parameters import flat
 
 _MEANINGS = ("model.activation", "normalise_observations")
@@ -67,12 +69,14 @@ def parent_run(experiment: Experiment, policy: ActingPolicy) -> ParentRun | None
 
 
 def _require_start(experiment: Experiment, key: str) -> None:
-    if not experiment.algo.starts or experiment.algo.contributor is not None:
-        raise HeadwayError(
-            f"{key}: {experiment.algo_name} starts from random parameters only; set {key}=null, or another "
-            "algorithm, such as algo=ippo"
-        )
     start = experiment.config.start
+    if not experiment.algo.starts or experiment.algo.contributor is not None:
+        given = [part for part in fields(start) if getattr(start, part.name) != part.default]
+        without = " ".join(f"start.{part.name}={written(part.default)}" for part in given)
+        raise HeadwayError(
+            f"{key}: {experiment.algo_name} starts from random parameters only; add {without}, or use "
+            "another algorithm, such as algo=ippo"
+        )
     if start.anchors and (line := experiment.algo.refuses_anchor(experiment.algo_config, start.kl_coeff)):
         raise HeadwayError(f"{experiment.algo_name}: {line}")
 

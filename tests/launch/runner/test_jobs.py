@@ -367,7 +367,7 @@ def test_training_starts_from_the_policies_of_one_run_of_a_stack(parents: Path, 
         (["algo.policies=independent", "algo.shared_until=0.5"], "start.run takes over separate policies"),
         (["start.rule=optimal"], "start.run excludes start.rule"),
         (["start.run=s9"], "start.run: no run 's9' in .*: `headway runs` lists "),
-        (["algo=a3c"], "a3c starts from random parameters only; set start.rule=null, or another algorithm"),
+        (["algo=a3c"], "a3c starts from random parameters only; add start.r.*=null, or use another"),
         (
             ["algo=madqn"],
             "a run of mappo, are of another kind .only those here have exploration.; start from a",
