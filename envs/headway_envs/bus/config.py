@@ -369,7 +369,7 @@ class BusConfig:
             self,
             "boarding_limit",
             0 < self.boarding_limit <= 1,
-            "must be above 0 and at most 1; for 0 skip stops",
+            "must be above 0 and at most 1 (for 0 set skipping)",
         )
         for name in ("skipping", "boarding_limit"):
             same = getattr(self, name) == getattr(type(self), name)
