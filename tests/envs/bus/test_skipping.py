@@ -188,8 +188,8 @@ def test_a_hand_made_line_is_served_as_by_a_naive_loop() -> None:
         outcome, observed = env.step(
             np.array([[plan.get((bus, int(place)), 0) for bus, place in enumerate(places)]])
         )
-        for bus in np.flatnonzero(outcome.acting[0]):
-            allowed[int(bus), int(places[bus])] = (bool(before[bus, SKIP]), bool(before[bus, LIMIT]))
+        for agent in np.flatnonzero(outcome.acting[0]):
+            allowed[int(agent), int(places[agent])] = (bool(before[agent, SKIP]), bool(before[agent, LIMIT]))
     assert allowed == expected.allowed
     trace, day = env.trace, env.world.days[0]
     for (bus, stop), visit in expected.visits.items():
