@@ -27,7 +27,7 @@ _SHOWN = (
 
 def features(approaches: int, sight: float, limit: float) -> tuple[ObservationFeature, ...]:
     """Return the features of an observation with K = `approaches`: all distances, then all speeds. `sight`:
-    distance to the end of an approach from which on vehicles look equally far, m; `limit`: speed limit, m/s.
+    distance to the end of an approach at which observed distances are clipped, m; `limit`: speed limit, m/s.
     """
     shown = [("own", "the AV itself", ("", "")), ("platoon_end", "last of its platoon", ("", ""))]
     for number in range(1, approaches):

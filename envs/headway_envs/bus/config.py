@@ -284,12 +284,12 @@ class BusConfig:
     Such a bus is never held, under learners and rules alike, and its actions are not used."""
     skipping: bool = False
     """Only with `control=holding` and its Discrete actions. True: one more action, leave at once and skip the
-    next stop. Nobody boards there, and the bus stops only for those who alight, if any. It may skip neither
-    the last stop of its trip nor one that the last bus to leave the stop before skips too."""
+    next stop. No passenger boards there, and the bus stops only if passengers alight. It may skip neither the
+    last stop of its trip nor one that the previous bus to leave the stop before it skips."""
     boarding_limit: float = 1.0
     """Only with `control=holding` and its Discrete actions. Below 1: one more action, leave at once and, at
-    the next stop, let only this share of those who wait board, rounded up. Not at the last stop of a trip. 1:
-    no such action; for 0 there is `skipping`."""
+    the next stop, let only this share of the waiting passengers board, rounded up. Not at the last stop of a
+    trip. 1: no such action; for 0 use `skipping`."""
     start_hour: int = 5
     """Start of the service day, h."""
     end_hour: int = 24

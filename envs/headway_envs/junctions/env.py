@@ -17,7 +17,7 @@ from headway_envs.sumo_env import SumoEnv
 from headway_envs.sumo_simulation import COMMON_OPTIONS
 
 SIGHT_M = 100.0
-"""Distance to the end of an approach from which on vehicles look equally far, m."""
+"""Distance to the end of an approach at which observed distances are clipped, m."""
 
 
 class JunctionsBatchedEnv(SumoEnv):

@@ -14,7 +14,7 @@ from headway_launch.experiments.override_words import written
 from headway_launch.experiments.yaml_file import read_mapping
 
 _SEARCHED = ("algo.", "rollout.", "start.", "env.training_args", "env.wrappers")
-"""Beginnings of the keys that candidates may differ in: other keys would change what is scored."""
+"""Prefixes of the keys that candidates may differ in: other keys would change what is scored."""
 _FORMS = "write {low: 1.0e-4, high: 1.0e-2, log: true}, [1, 4, 10], or {NAME: [KEY=VALUE, ...], ...}"
 
 Value = float | int | str
@@ -146,7 +146,7 @@ def _require_searched(key: str, path: str) -> None:
 
 
 def is_searched(key: str) -> bool:
-    """Return whether a key is one that candidates may differ in, and a preset sets."""
+    """Return whether candidates may differ in a key; the preset of a search sets these keys only."""
     return key.startswith(_SEARCHED)
 
 

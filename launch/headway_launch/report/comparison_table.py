@@ -19,7 +19,7 @@ PAIR_COLUMNS = (
     *("p", "p (Holm)", "seeds needed"),
 )
 _ROUNDING = 1e-12
-"""Width of an interval, over its ends, up to which it is that of equal numbers."""
+"""Largest width of an interval, relative to its ends, that rounding alone explains."""
 RECORD_COLUMNS = (
     *("metric", "controller", "seeds", "mean", "reference", "difference", "95% low", "95% high", "interval"),
     *("p", "p (Holm)", "seeds needed"),
@@ -149,7 +149,7 @@ def _decimals(intervals: Iterable[tuple[str, float | None, float | None]]) -> di
     """Return the decimals of each metric that show two significant digits of its narrowest interval."""
     widths: dict[str, float] = {}
     for metric, low, high in intervals:
-        # Equal differences have an interval as wide as the rounding of their sum.
+        # The interval of equal differences is as wide as the rounding of their sum.
         if low is not None and high is not None and high - low > _ROUNDING * max(abs(low), abs(high)):
             widths[metric] = min(widths.get(metric, math.inf), high - low)
     return {metric: 1 - math.floor(math.log10(width)) for metric, width in widths.items()}

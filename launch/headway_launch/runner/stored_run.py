@@ -82,7 +82,7 @@ class StoredRun:
         mapping, changes = with_env_args(self.mapping, changed)
         experiment = resolve(mapping)
         if changes and self._has_other_files_than(experiment):
-            # A note that a file is not that of the training would seem to find a mistake.
+            # The arguments name other files on purpose: no notice that a file has changed since training.
             mapping["env"].pop("file_digest", None)
             experiment = resolve(mapping)
         return experiment, changes

@@ -26,7 +26,7 @@ class ComparedLearners:
     studies: Sequence[Mapping[str, list[StoredRun]]] = ()
     """Per study, the runs of each learner by label; empty if only rules are compared."""
     changed: Sequence[str] = ()
-    """Overrides that name the environment, or that change the one of the studies (`env.args.KEY=VALUE`)."""
+    """Overrides `env.args.KEY=VALUE` of the studies' environment, or those that name that of rules alone."""
 
     @classmethod
     def of(cls, studies: Mapping[str, tuple[Path, str]], where: Sequence[str]) -> "ComparedLearners":

@@ -169,7 +169,7 @@ def _expression(text: str, columns: _Columns) -> str:
 
 
 def _stored(text: str) -> str:
-    """Return a value of a command line as parameters have it, in Python's form: `True` for `true`."""
+    """Return a command line's value in the form of stored parameters, Python's: `True` for `true`."""
     if not text.startswith("[") and text.lower() not in ("true", "false", "null"):
         return text
     from hydra.core.override_parser.overrides_parser import OverridesParser

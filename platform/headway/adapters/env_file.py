@@ -36,7 +36,7 @@ class EnvFile:
             raise HeadwayError(f"env.id={path} cannot be read: {error.strerror}") from error
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore from a pickle, and load the module: what is unpickled next, such as a rule, may be its."""
+        """Restore from a pickle and load the module, which may define what is unpickled next (rules)."""
         vars(self).update(state)
         self.load()
 

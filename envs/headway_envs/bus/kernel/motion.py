@@ -78,8 +78,8 @@ def charge_upkeep(k: Record, world: World, c: int, n: int, time: float, fuel_sha
     used = min(duration * k.fuel_per_s * fuel_share, slot.fuel)
     slot.fuel -= used
     world.days[c].fuel += used
-    # Breakdowns are a Poisson process with a rate that grows with wear: the bus breaks down when the
-    # rate integrated since its last breakdown, over services too, reaches a unit exponential number.
+    # Breakdowns are a Poisson process with a rate that grows with wear: the bus breaks down when the rate
+    # integrated since its last breakdown, which service does not reset, reaches a unit exponential number.
     slot.hazard += duration * k.hazard_per_s * math.exp(k.wear_growth * (1.0 - slot.uptime))
     slot.uptime = max(slot.uptime - duration * k.uptime_per_s, 0.0)
     slot.worked = time

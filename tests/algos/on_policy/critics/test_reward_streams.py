@@ -243,7 +243,7 @@ def test_the_last_agent_to_leave_does_not_end_the_episode() -> None:
 @pytest.mark.parametrize("config", [IPPO, MAPPO, OTHERS, COMA], ids=["ippo", "mappo", "others", "coma"])
 @pytest.mark.parametrize("flag", ["terminated", "truncated"])
 def test_the_ends_of_all_streams_at_once_do_not_end_the_episode(config: AlgoConfig, flag: str) -> None:
-    """Of the slots, of which there may be few, all are freed at step DEATH, and the team is paid on."""
+    """All slots are freed at step DEATH, as happens if there are few, and the team's rewards continue."""
     spec = replace(THREE, agents=("a", "b"), groups=(), state_size=1)
     learner = OnPolicyLearner(replace(config, gae_lambda=1.0), spec, (1,), "cpu")
     made = Trajectory.allocate(TrajectoryLayout(spec, LIMIT, 2))
