@@ -252,6 +252,17 @@ class DisruptionConfig:
         return hours
 
 
+_OF_HOLDING = (
+    "max_hold_s",
+    "hold_levels",
+    "control_every",
+    "noncompliant_share",
+    "skipping",
+    "boarding_limit",
+)
+"""Keys that apply with `control=holding` only."""
+
+
 @dataclass(frozen=True)
 class BusConfig:
     """Bus network, passengers, rewards and observations."""
@@ -358,11 +369,7 @@ class BusConfig:
             self, "hold_levels", self.hold_levels in (0, *range(2, 1001)), "must be 0, or 2 to 1000"
         )
         require_value(self, "control_every", self.control_every >= 1, "must be at least 1")
-        of_holding = (
-            *("max_hold_s", "hold_levels", "control_every", "noncompliant_share"),
-            *("skipping", "boarding_limit"),
-        )
-        for name in ("hold_s",) if self.holds else of_holding:
+        for name in ("hold_s",) if self.holds else _OF_HOLDING:
             same = getattr(self, name) == getattr(type(self), name)
             require_key(same, name, f"has no effect with control={self.control}; leave it out")
         require_value(
@@ -403,15 +410,9 @@ class BusConfig:
         return self.control == "holding"
 
     @property
-    def limits_boarding(self) -> bool:
-        """Whether there is an action that limits boarding."""
-        return self.boarding_limit < 1.0
-
-    @property
-    def num_actions(self) -> int:
-        """Number of Discrete actions with `control=holding`: holding times, then skipping, then the boarding
-        limit."""
-        return self.hold_levels + self.skipping + self.limits_boarding
+    def further_actions(self) -> tuple[str, ...]:
+        """Discrete actions after the holding times, in order: `skip`, `limit`."""
+        return ("skip",) * self.skipping + ("limit",) * (self.boarding_limit < 1.0)
 
     @property
     def hold_step_s(self) -> float:

@@ -59,13 +59,13 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
             groups=prepared.groups,
             shared_reward=config.reward.scope == "team",
             shared_in_groups=config.reward.scope == "line",
-            has_action_mask=not config.holds or config.num_actions > config.hold_levels,
+            has_action_mask=not config.holds or bool(config.further_actions),
             agents_come_and_go=True,
             metrics=METRICS,
             observation_features=features(prepared),
             snapshots=True,
         )
-        self._orders = _orders(config)
+        self._kernel_actions = _kernel_actions(config)
         self.outputs = Outputs(**self._arrays(copies, Outputs._fields))
         self.world = allocate_world(self.network, copies, config.capacity)
         self.trace = allocate_trace(self.network, copies, traced)
@@ -88,8 +88,8 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
             actions = np.rint(1000.0 * np.clip(actions, 0.0, config.max_hold_s).astype(np.float64))
             actions = actions.squeeze(-1) if actions.shape[-1:] == (1,) else actions
         actions = self._checked(actions)
-        if self._orders is not None:
-            actions = self._orders[actions]
+        if self._kernel_actions is not None:
+            actions = self._kernel_actions[actions]
         outputs = self.outputs
         if tick.step(self.network, self.settings, self.world, outputs, actions, self.trace):
             tick.start_next_days(self.network, self.settings, self.world, outputs)
@@ -152,14 +152,16 @@ class BusBatchedEnv(ArrayEnv[World, Outputs]):
 def _action_space(config: BusConfig) -> Discrete | Box:
     if not config.holds:
         return Discrete(3)
-    return Discrete(config.num_actions) if config.hold_levels else Box((0.0,), (config.max_hold_s,))
+    if not config.hold_levels:
+        return Box((0.0,), (config.max_hold_s,))
+    return Discrete(config.hold_levels + len(config.further_actions))
 
 
-def _orders(config: BusConfig) -> NDArray[np.int64] | None:
+def _kernel_actions(config: BusConfig) -> NDArray[np.int64] | None:
     """Return what each Discrete action is to the kernel, if that is not its number: a holding time, ms,
     SKIP_NEXT or LIMIT_NEXT."""
     if not config.holds or not config.hold_levels:
         return None
     times = np.rint(1000.0 * config.hold_step_s * np.arange(config.hold_levels)).astype(np.int64)
-    further = [SKIP_NEXT] * config.skipping + [LIMIT_NEXT] * config.limits_boarding
+    further = [{"skip": SKIP_NEXT, "limit": LIMIT_NEXT}[name] for name in config.further_actions]
     return np.append(times, np.array(further, np.int64))

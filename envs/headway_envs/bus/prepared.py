@@ -77,6 +77,7 @@ def _settings(prepared: Prepared) -> dict[str, float]:
     breakdown = disruptions.breakdown_hour
     others = (1.0 - config.captive_share) * config.arrivals_per_boarding
     given = {**vars(config), **vars(noise), **vars(upkeep)}
+    further = config.further_actions
     return {
         **{name: given[name] for name in SETTINGS.fields or () if name in given},
         "start_s": config.start_hour * 3600.0,
@@ -105,8 +106,10 @@ def _settings(prepared: Prepared) -> dict[str, float]:
         "late_s": disruptions.late_s,
         "late_bus": disruptions.late_bus if disruptions.late_s > 0.0 else -1,
         "holding": float(config.holds),
-        "skip_action": config.hold_levels if config.skipping else -1,
-        "limit_action": config.num_actions - 1 if config.limits_boarding else -1,
+        **{
+            f"{name}_action": config.hold_levels + further.index(name) if name in further else -1
+            for name in ("skip", "limit")
+        },
     }
 
 

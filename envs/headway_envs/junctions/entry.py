@@ -52,5 +52,5 @@ ENTRY = EnvEntry(
     },
     metrics=METRIC_DESCRIPTIONS,
     renderer=Lazy("headway_envs.junctions.renderer:JunctionsRenderer"),
-    preload=("headway_envs.platoons", "headway_envs.junctions.kernel", "headway_envs.junctions.env"),
+    preload=("headway_envs.platoons", "headway_envs.junctions.env"),
 )

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from headway.contracts import Discrete, EnvSpec, Observations, StepResult, generator
 from headway_envs import platoons
-from headway_envs.junctions import kernel
 from headway_envs.junctions.metrics import METRICS, EpisodeMetrics
 from headway_envs.junctions.prepared import Prepared
 from headway_envs.junctions.traffic import ACCELERATIONS, Traffic
@@ -45,7 +44,7 @@ class JunctionsBatchedEnv(SumoEnv):
             agents=tuple(f"av_{slot}" for slot in range(config.slots)),
             observation_size=len(described),
             action_space=Discrete(len(ACCELERATIONS)),
-            state_size=kernel.STATE_PER_APPROACH * approaches + 1,
+            state_size=3 * approaches + 1,
             shared_reward=True,
             agents_come_and_go=True,
             metrics=METRICS,
@@ -124,7 +123,12 @@ class JunctionsBatchedEnv(SumoEnv):
             self._observed.observations[0],
             self._observed.alive[0],
         )
-        kernel.fill_state(approach, distance, speed, slot, limit, state[:-1])
+        before = (approach >= 0) & (distance >= 0.0)
+        counted = (None, (slot >= 0)[before], speed[before])
+        total, avs, speeds = (np.bincount(approach[before], of, len(self._first)) for of in counted)
+        state[:-1].reshape(-1, 3)[:] = np.column_stack(
+            (0.1 * avs, 0.1 * (total - avs), speeds / np.maximum(total, 1) / limit)
+        )
         state[-1] = self.counters.steps / self.config.horizon
 
     def _metrics(self) -> Sequence[float]:

@@ -155,11 +155,10 @@ def execute(arguments: argparse.Namespace) -> int:
         for label, members in cells.items():
             iterations = [policy.iteration for policy in policies[label]]
             keep_episodes(members, iterations, played[label], rules, root, arguments.mode)
-    name = " ".join([subject.name, *map(without_folders, subject.changed)]).lstrip()
     mode = f", {arguments.mode}" if cells else ""
     by_return = sorted(rules, key=lambda rule: -_mean(rules[rule], "return"))
     comparison = Comparison(
-        f"{name}: {episodes} episodes of {found.spec.name}{mode}",
+        f"{without_folders(subject.name)}: {episodes} episodes of {found.spec.name}{mode}",
         reference,
         {metric: readable_metric(metric, found.entry.metrics.get(metric, "")) for metric in metrics},
         [*played, *(f"rule {rule}" for rule in by_return)],
@@ -215,14 +214,14 @@ def _subject(arguments: argparse.Namespace) -> "ComparedLearners":
     from headway_launch.studies.compared_learners import ComparedLearners
 
     words: list[str] = arguments.study
-    if "=" in words[0]:
+    studies = [word for word in words if "=" not in word]
+    changed = [word for word in words if "=" in word]
+    if not studies:
         require_each_key_once(words)
         _require_for_rules(words)
         if arguments.best:
             raise HeadwayError("--best has no effect if rules are compared alone; omit it, or name a study")
-        return ComparedLearners("", compose(words), changed=words)
-    studies = [word for word in words if "=" not in word]
-    changed = [word for word in words if "=" in word]
+        return ComparedLearners(" ".join(words), compose(words))
     if changed and arguments.keep:
         raise HeadwayError(f"--keep stores episodes of the studies' own environment; omit {changed[0]}")
     try:
@@ -230,12 +229,12 @@ def _subject(arguments: argparse.Namespace) -> "ComparedLearners":
     except HeadwayError as error:
         known = options()
         for group in ("env", "experiment"):
-            if words[0] in known[group]:
-                hint = f"for rules alone: headway compare {group}={words[0]}"
+            if studies[0] in known[group]:
+                hint = f"for rules alone: headway compare {group}={studies[0]}"
                 raise HeadwayError(f"{error}; {hint}") from error
         raise
     learners.require_one_environment()
-    return learners.on(changed)
+    return learners.with_env_args(changed)
 
 
 def _require_for_rules(words: Sequence[str]) -> None:

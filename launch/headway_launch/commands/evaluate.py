@@ -60,7 +60,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.runner.warm_up import compile_kernels
 
     run = StoredRun.find(existing_store(arguments.store), arguments.run)
-    experiment, changes = run.on(arguments.overrides)
+    experiment, changes = run.with_env_args(arguments.overrides)
     evaluation = experiment.config.evaluation
     episodes = evaluation.last_episodes if arguments.episodes is None else arguments.episodes
     # The best policy was chosen by the episodes of evaluation.seed: on these its return is too high.

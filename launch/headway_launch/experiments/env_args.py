@@ -17,8 +17,8 @@ def with_env_args(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple
     for override in overrides:
         if not override.startswith("env.args.") or "=" not in override:
             raise HeadwayError(
-                f"{override}: a trained policy is evaluated with its own configuration; only "
-                "env.args.KEY=VALUE can be changed, and --episodes, --mode, --rules and --seed"
+                f"{override}: a trained policy keeps its own configuration; only env.args.KEY=VALUE can be "
+                "changed, and options such as --episodes and --rules"
             )
     return with_env_keys(mapping, overrides)
 

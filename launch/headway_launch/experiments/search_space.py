@@ -13,8 +13,8 @@ from headway_launch.experiments.options import config_file, options
 from headway_launch.experiments.override_words import written
 from headway_launch.experiments.yaml_file import read_mapping
 
-_SEARCHED = ("algo.", "rollout.", "start.", "env.training_args", "env.wrappers")
-"""Prefixes of the keys that candidates may differ in: other keys would change what is scored."""
+_SEARCHED = ("algo", "rollout", "start", "env.training_args", "env.wrappers")
+"""Keys, with those below them, that candidates may differ in: other keys would change what is scored."""
 _FORMS = "write {low: 1.0e-4, high: 1.0e-2, log: true}, [1, 4, 10], or {NAME: [KEY=VALUE, ...], ...}"
 
 Value = float | int | str
@@ -140,14 +140,13 @@ def _range(value: Mapping[str, Any], path: str) -> Range:
 
 
 def _require_searched(key: str, path: str) -> None:
-    if not (key == "algo" or is_searched(key)):
-        keys = ", ".join(beginning.rstrip(".") for beginning in _SEARCHED)
-        raise HeadwayError(f"{path} cannot be searched: candidates differ in keys of {keys}")
+    if not is_searched(key):
+        raise HeadwayError(f"{path} cannot be searched: candidates differ in keys of {', '.join(_SEARCHED)}")
 
 
 def is_searched(key: str) -> bool:
-    """Return whether candidates may differ in a key; the preset of a search sets these keys only."""
-    return key.startswith(_SEARCHED)
+    """Return whether candidates may differ in a key."""
+    return any(key == known or key.startswith(f"{known}.") for known in _SEARCHED)
 
 
 def _alternatives(space: Space) -> dict[str, Choices]:

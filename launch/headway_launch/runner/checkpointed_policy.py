@@ -50,7 +50,7 @@ def stored_policy(
         if not changed:
             raise
         raise HeadwayError(
-            f"with {', '.join(changed)} observations, actions or agents have other shapes than those that "
+            f"with {', '.join(changed)}, observations, actions or agents have other shapes than those that "
             f"run {run.record.run_id} was trained on; change other arguments, or train with these"
         ) from error
     for line in notices:

@@ -73,7 +73,7 @@ class StoredRun:
         """The experiment of the stored configuration. Raises HeadwayError if this version refuses it."""
         return resolve(self.mapping)
 
-    def on(self, changed: Sequence[str]) -> tuple[Experiment, list[str]]:
+    def with_env_args(self, changed: Sequence[str]) -> tuple[Experiment, list[str]]:
         """Return the experiment on its environment with other arguments, `env.args.KEY=VALUE`, and what
         each changes.
 
@@ -81,13 +81,13 @@ class StoredRun:
         """
         mapping, changes = with_env_args(self.mapping, changed)
         experiment = resolve(mapping)
-        if changes and self._has_other_files_than(experiment):
+        if changes and self._files_differ(experiment):
             # The arguments name other files on purpose: no notice that a file has changed since training.
             mapping["env"].pop("file_digest", None)
             experiment = resolve(mapping)
         return experiment, changes
 
-    def _has_other_files_than(self, experiment: Experiment) -> bool:
+    def _files_differ(self, experiment: Experiment) -> bool:
         try:
             return self.experiment.file_digest != experiment.file_digest
         except HeadwayError:  # this version refuses the configuration as it is stored

@@ -21,12 +21,12 @@ class ComparedLearners:
     """Learners to compare, and their environment."""
 
     name: str
-    """The studies; empty if only rules are compared."""
+    """The studies and what is changed, or the environment if only rules are compared."""
     experiment: Experiment
     studies: Sequence[Mapping[str, list[StoredRun]]] = ()
     """Per study, the runs of each learner by label; empty if only rules are compared."""
     changed: Sequence[str] = ()
-    """Overrides `env.args.KEY=VALUE` of the studies' environment, or those that name that of rules alone."""
+    """Overrides of the studies' environment, `env.args.KEY=VALUE`."""
 
     @classmethod
     def of(cls, studies: Mapping[str, tuple[Path, str]], where: Sequence[str]) -> "ComparedLearners":
@@ -42,15 +42,15 @@ class ComparedLearners:
             ]
         return cls(" and ".join(studies), next(iter(found[0].values()))[0].experiment, found)
 
-    def on(self, changed: Sequence[str]) -> "ComparedLearners":
+    def with_env_args(self, changed: Sequence[str]) -> "ComparedLearners":
         """Return the learners on their environment with other arguments, `env.args.KEY=VALUE`.
 
         Raises HeadwayError for other keys.
         """
         if not changed:
             return self
-        experiment, _ = next(iter(self.cells.values()))[0].on(changed)
-        return replace(self, experiment=experiment, changed=changed)
+        experiment, _ = next(iter(self.cells.values()))[0].with_env_args(changed)
+        return replace(self, name=" ".join((self.name, *changed)), experiment=experiment, changed=changed)
 
     @property
     def cells(self) -> Mapping[str, list[StoredRun]]:

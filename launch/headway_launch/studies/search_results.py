@@ -217,7 +217,7 @@ def _tuned(result: AlgorithmResult) -> dict[str, Any]:
     nested: dict[str, Any] = {}
     for word in words:
         key = word.lstrip("+").partition("=")[0]
-        if is_searched(key):
+        if is_searched(key) and key != "algo":
             *path, last = key.split(".")
             inner, value = nested, mapping
             for part in path:

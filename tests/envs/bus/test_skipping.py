@@ -182,7 +182,7 @@ def test_a_hand_made_line_is_served_as_by_a_naive_loop() -> None:
         slots, masks = env.world.slots[0], observed.action_masks
         assert masks is not None
         moving = (slots["phase"] == DRIVING) | (slots["phase"] == DISPATCHED)
-        places = slots["call"] + moving + (slots["at_next"] == SKIP_NEXT)
+        places = slots["call"] + moving + (slots["next_order"] == SKIP_NEXT)
         before = masks[0].copy()
         assert before[:, :SKIP].all()
         outcome, observed = env.step(

@@ -102,7 +102,7 @@ def test_a_table_for_a_page_has_a_row_per_controller(form: str) -> None:
         ([*GAME, "--episodes", "1"], "--episodes 1: must be at least 2, because an interval needs two"),
         ([*GAME, "--rules", ","], "--rules is empty"),
         ([*GAME, "--seed", "-1"], "--seed -1: must not be negative"),
-        ([*GAME, "bus"], "'bus' has no effect if rules are compared"),
+        ([*GAME, "bus"], "there is no store in 'runs'"),
         (["bus", "--keep"], "--keep stores the episodes of the best policies; add --best, or omit it"),
         (["other/runs:bus"], "there is no store in 'other/runs'"),
     ],

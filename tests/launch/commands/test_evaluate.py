@@ -31,7 +31,7 @@ def test_a_policy_and_the_rules_play_the_changed_environment(empty_folder: Path)
     assert returns(independent, "env.args.fare=0.5") == [3.75, 3.75]
     line = "headway: evaluated on a changed environment: env.args.fare=2 (trained with 1.0)\n"
     assert line in output("evaluate", shared, "--episodes=2", "env.args.fare=2").err
-    assert "with env.args.cars=3 observations, actions or agents have other shapes" in refused(
+    assert "with env.args.cars=3, observations, actions or agents have other shapes" in refused(
         "evaluate", independent, "env.args.cars=3"
     )
     assert "env.args.fair is not a key of" in refused("evaluate", shared, "env.args.fair=2")
@@ -39,14 +39,14 @@ def test_a_policy_and_the_rules_play_the_changed_environment(empty_folder: Path)
     study = ("compare", stored_rows()[0].study, "--episodes=2", "--where", "policies=shared")
     header, _, learner = rows_of(*study, "env.args.fare=2", "env.args.steps=4")
     assert dict(zip(header, learner, strict=True))["mean"] == "12"
-    assert "with env.args.cars=3 observations" in refused(*study[:3], "env.args.cars=3")
+    assert "with env.args.cars=3, observations" in refused(*study[:3], "env.args.cars=3")
     assert "only env.args.KEY=VALUE can be changed" in refused(*study, "algo.lr=3")
 
 
 @pytest.mark.parametrize(
     ("override", "line"),
     [
-        ("algo.lr=3", "algo.lr=3: a trained policy is evaluated with its own configuration; only env.args"),
+        ("algo.lr=3", "algo.lr=3: a trained policy keeps its own configuration; only env.args"),
         ("env.training_args.reward=1", "only env.args.KEY=VALUE can be changed"),
         ("env=merge", "only env.args.KEY=VALUE can be changed"),
         ("env.args.steps", "only env.args.KEY=VALUE can be changed"),

@@ -188,9 +188,8 @@ SLOT = np.dtype(
         ("trip_left", np.float64),  # time of departure on the trip
         ("held", np.float64),  # holding time at this stop, s
         ("complies", np.bool_),  # whether the driver complies with holding
-        ("passes", np.bool_),  # whether the bus skips this stop: it neither lets board nor decides
-        ("closed", np.bool_),  # whether no more passengers may board at this stop
-        ("at_next", np.int64),  # what to do at the next stop: SKIP_NEXT, LIMIT_NEXT or, if 0, serve it
+        ("order", np.int64),  # at this stop: SKIP_NEXT, LIMIT_NEXT or, if 0, serve it
+        ("next_order", np.int64),  # at the next stop
         ("trip_factor", np.float64),
         ("fuel", np.float64),
         ("uptime", np.float64),

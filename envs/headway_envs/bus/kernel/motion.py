@@ -170,12 +170,11 @@ def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         # Trips may leave out of order: skip those that have left.
         while pattern.next_trip < last and world.departed[c, pattern.next_trip]:
             pattern.next_trip += 1
-    world.calls[c, slot.call + 1].skipped = slot.at_next == SKIP_NEXT
+    world.calls[c, slot.call + 1].skipped = slot.next_order == SKIP_NEXT
     slot.phase = DRIVING
     slot.left = time
     slot.held = 0.0
-    slot.passes = False
-    slot.closed = False
+    slot.order = 0
     world.event_time[c, n] = time + link_time(net, k, world, c, n, time)
 
 
@@ -186,8 +185,8 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
     charge_upkeep(k, world, c, n, time, 1.0)
     planned = n == day.breakdown_bus and time >= k.breakdown_s
     slot.call += 1
-    order = slot.at_next
-    slot.at_next = 0
+    order = slot.next_order
+    slot.next_order = 0
     call = world.calls[c, slot.call]
     call.arrivals += 1
     call.load += slot.load
@@ -218,12 +217,11 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         share = 1.0
         if order == SKIP_NEXT:
             share = 0.0
-            slot.passes = True
             day.skipped += 1
         elif order == LIMIT_NEXT:
             share = k.boarding_limit
             day.limited += 1
-        slot.closed = order != 0
+        slot.order = order
         dwell = alighting * k.alighting_s + board(net, k, world, c, n, time, share) * k.boarding_s
         if dwell > 0.0:
             dwell += k.fixed_dwell_s
@@ -276,9 +274,9 @@ def apply_holding(net: Network, k: Record, world: World, c: int, n: int, time: f
         leave_for_service(net, k, world, c, n, time)
         return False
     passed = slot.call - net.pattern_calls[slot.pattern]
-    decides = slot.complies and slot.held == 0.0 and not slot.passes and passed % k.control_every == 0
+    decides = slot.complies and slot.held == 0.0 and slot.order != SKIP_NEXT and passed % k.control_every == 0
     if decides and action < 0 and may_restrict(net, world, c, slot.pattern, slot.call, action):
-        slot.at_next = action
+        slot.next_order = action
     slot.held = hold_s = 0.001 * max(action, 0) if decides else 0.0
     if at_terminal:
         dispatch(k, world, c, n, time + hold_s)
@@ -345,7 +343,7 @@ def process_event(net: Network, k: Record, world: World, c: int, n: int, time: f
     else:
         slot.worked = time
     # Passengers who have come during the dwell still board; a bus at a stop decides once there are none.
-    boarded = board(net, k, world, c, n, time, 0.0 if slot.closed else 1.0)
+    boarded = board(net, k, world, c, n, time, 1.0 if slot.order == 0 else 0.0)
     if slot.phase == TERMINAL:
         return apply_action(net, k, world, c, n, time, action)
     if boarded > 0:

@@ -120,7 +120,7 @@ def _mask_restrictions(
 ) -> None:
     """Mask skipping and boarding limits where the bus may not order them at its next decision."""
     slot = world.slots[c, n]
-    place = slot.call + (slot.phase == DRIVING or slot.phase == DISPATCHED) + (slot.at_next == SKIP_NEXT)
+    place = slot.call + (slot.phase == DRIVING or slot.phase == DISPATCHED) + (slot.next_order == SKIP_NEXT)
     mask[:] = True
     if k.skip_action >= 0 and alive:
         mask[k.skip_action] = may_restrict(net, world, c, slot.pattern, place, SKIP_NEXT)
