@@ -14,7 +14,7 @@ _LAWS = {
     "forward_headway": ("ForwardHeadway", "holds in proportion to the headway's shortfall (Daganzo 2009)"),
     "two_way_headway": (
         "TwoWayHeadway",
-        "holds in proportion to the headway behind minus that ahead (after Daganzo and Pilachowski 2011)",
+        "holds in proportion to the headways behind minus ahead (after Daganzo and Pilachowski 2011)",
     ),
     "simple_control": ("SimpleControl", "holds by delay and headway (Xuan, Argote and Daganzo 2011)"),
     "self_coordinating": (

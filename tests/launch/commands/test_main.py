@@ -30,7 +30,7 @@ from headway_launch.experiments.compose import compose
         (["list", "algos", "mapo"], ["did you mean mappo?"]),
         (["list", "experiments", "bus_mapo"], ["did you mean bus_mappo?"]),
         (["list", "searches", "bus_lin"], ["did you mean bus_line?"]),
-        (["list", "metrics", "mpe2.simple_spread_v3"], ["its EnvEntry needs `metrics`", "that do: bus, "]),
+        (["list", "metrics", "mpe2.simple_spread_v3"], ["its EnvEntry `metrics`", "that do: bus, "]),
         (["list", "metrics", "buss"], ["buss", "bus"]),
         (["list", "observaitons"], ["did you mean headway list observations?"]),
         (["run", "experiment=a", "experiment=b"], ["experiment=a and experiment=b are several experiments"]),

@@ -1,6 +1,7 @@
 """`headway search` finds the best candidates by real runs; `headway compare` shows its study."""
 
 import io
+import json
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from itertools import combinations
@@ -92,7 +93,8 @@ def test_the_rest_of_a_search_is_no_study_to_resume(searched: Searched) -> None:
 
 @pytest.mark.slow
 def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched) -> None:
-    shown = output("compare", "search_toy_tracking", "--store", str(searched.root), "--episodes", "4")
+    words = ("compare", "search_toy_tracking", "--store", str(searched.root), "--episodes", "4")
+    shown = output(*words)
     header, *lines = [line.split("\t") for line in shown.out.splitlines() if "\t" in line]
     rows = [line for line in lines if len(line) == len(header)]
     paired, *pairs = lines[len(rows) :]
@@ -104,10 +106,13 @@ def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched) -> No
     assert (header[4], header[7]) == ("minus optimal", "interval")
     assert {"rule random", "rule optimal"} < {row[1] for row in rows}
     assert len(rows) == 6
-    optimal = next(float(row[3]) for row in rows if row[1] == "rule optimal")
+    exact = {
+        row["controller"]: row for row in json.loads(output(*words, "--format", "json").out)[: len(rows)]
+    }
     for row in rows:
         if row[1] != "rule optimal":
-            assert float(row[4]) == pytest.approx(float(row[3]) - optimal, abs=1e-3)
+            below = exact[row[1]]["mean"] - exact["rule optimal"]["mean"]
+            assert exact[row[1]]["difference"] == pytest.approx(below)
             assert float(row[5]) <= float(row[4]) <= float(row[6])
             assert row[7] == "t over episodes"
     assert "1 seed: the interval is over episodes" in shown.err

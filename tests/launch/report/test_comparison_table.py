@@ -14,7 +14,7 @@ from headway_launch.studies.learner_pairs import pair_rows
 
 def test_differences_have_a_sign_and_zero_is_never_negative() -> None:
     rows = [
-        ComparisonRow("return", "ippo", 3, -0.04, -0.04, -0.6, 0.6, "t over episodes"),
+        ComparisonRow("return", "ippo", 3, -0.004, -0.004, -0.6, 0.6, "t over episodes"),
         ComparisonRow("return", "rule r", None, 0.0),
         ComparisonRow("length", "ippo", 3, 9.5, 2.5, 2.5, 2.5, "t over episodes"),
         ComparisonRow("length", "rule r", None, 7.0),
