@@ -1,7 +1,7 @@
 """Stop-skipping and boarding limits as actions: a naive loop over a hand-made line, masks and invariants."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -258,6 +258,6 @@ def test_a_rule_that_never_restricts_has_the_day_without_these_actions() -> None
         ({"boarding_limit": 1.5}, "above 0 and at most 1"),
     ],
 )
-def test_settings_without_effect_are_refused(changed: dict[str, object], message: str) -> None:
+def test_settings_without_effect_are_refused(changed: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        BusConfig(**{"control": "holding", **changed})  # type: ignore[arg-type]
+        BusConfig(**{"control": "holding", **changed})

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from headway_envs.intersection.entry import ENTRY
+from headway_envs.intersection.env import IntersectionBatchedEnv
 from headway_envs.intersection.network import APPROACHES, LINKS
 from headway_envs.sumo_simulation import libsumo
 
@@ -16,7 +17,7 @@ Open = Callable[..., Any]
 SEED = np.array([3], np.uint64)
 
 
-def _naive(env: Any) -> NDArray[np.float32]:  # noqa: ANN401 - the environment
+def _naive(env: IntersectionBatchedEnv) -> NDArray[np.float32]:
     """Return the platoon observations of all slots, from SUMO's routes, lanes and positions."""
     sumo, found, lanes = libsumo().vehicle, np.zeros((96, 46), np.float32), [[] for _ in range(8)]
     roster, inside = env.bridge.roster, env.prepared.network.link_length

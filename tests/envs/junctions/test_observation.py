@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from headway_envs.junctions.env import JunctionsBatchedEnv
 from headway_envs.junctions.files import FOUR_WAY_FILE
 from headway_envs.junctions.network import Network
 from headway_envs.platoons import observe
@@ -69,7 +70,7 @@ def test_a_vehicle_past_the_line_is_not_seen_and_sees_no_one() -> None:
     assert past == {"own": [(1.0, 1.0), (1.0, 0.0)], **{other: [GONE, FAR, FAR] for other in "123"}}
 
 
-def _naive(env: Any) -> NDArray[np.float32]:  # noqa: ANN401 - the environment
+def _naive(env: JunctionsBatchedEnv) -> NDArray[np.float32]:
     """Return the observations of all slots by the study's definition, from SUMO's lanes and positions."""
     order, found = ("north", "east", "south", "west"), np.zeros((96, 22), np.float32)
     sumo, routes = (
