@@ -4,10 +4,11 @@
     python docs/study_tables.py --store runs README.md
     python docs/study_tables.py --store runs --archives archives    STUDY.zip of every study of these tables
 
-A table stands between `<!-- COMMAND -->` and `<!-- end -->`. What COMMAND prints replaces what is between:
-`headway compare ...`, of which only the first table is kept, and `headway report STUDY --table NAME` are run
-on the store, with `--format markdown`, `python -m MODULE ...` in the checkout. If it fails, because the store
-has no such study for example, the table stays, a line says so, and the exit code is 1.
+A table stands between `<!-- COMMAND -->` and `<!-- end -->`. What COMMAND prints replaces what is between. On
+the store are run, with `--format markdown`, `headway compare ...`, of which only the first table is kept, and
+`headway report STUDY --table NAME`; and `headway search SEARCH --show`, of which expected best of n and cost
+are kept. `python -m MODULE ...` is run in the checkout. If a command fails, because the store has no such
+study for example, the table stays, a line says so, and the exit code is 1.
 """
 
 import argparse
@@ -26,6 +27,7 @@ BLOCK = re.compile(
     r"^<!-- (?P<command>(?:headway|python -m) [^\n]+) -->\n(?P<table>.*?)^<!-- end -->$",
     re.MULTILINE | re.DOTALL,
 )
+COSTS = ("CPU s", "kWh")
 
 
 def rewritten(page: str, output: Callable[[list[str]], str | None]) -> str:
@@ -41,13 +43,31 @@ def rewritten(page: str, output: Callable[[list[str]], str | None]) -> str:
     return BLOCK.sub(block, page)
 
 
+def search_table(printed: str) -> str:
+    """Return, as one Markdown table, the expected best of n candidates and the cost of a search.
+
+    `printed` is what `headway search SEARCH --show` prints: tables with tabs between their cells, one blank
+    line between two tables.
+    """
+    _, spent, best, *_ = ([line.split("\t") for line in part.splitlines()] for part in printed.split("\n\n"))
+    rows = [row for row in best if len(row) > 1]
+    costs = [[name, *map(_short, column)] for name, *column in zip(*spent, strict=True) if name in COSTS]
+    lines = [f"| {' | '.join(row)} |" for row in (*rows, *costs)]
+    return "\n".join([lines[0], f"| --- |{' ---: |' * (len(rows[0]) - 1)}", *lines[1:]])
+
+
+def _short(cell: str) -> str:
+    number = float(cell)
+    return f"{number:,.0f}" if number >= 100 else f"{number:.2g}"
+
+
 def studies_of(page: str) -> list[str]:
     """Return the names of the studies whose tables a page has."""
     commands = [shlex.split(found["command"]) for found in BLOCK.finditer(page)]
     words = [
         word
-        for program, _, *rest in commands
-        if program == "headway"
+        for program, action, *rest in commands
+        if program == "headway" and action != "search"
         for word in takewhile(lambda word: not word.startswith("-"), rest)
     ]
     return list(dict.fromkeys(word for word in words if "=" not in word))
@@ -96,7 +116,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         def output(words: list[str]) -> str | None:
             nonlocal failed
-            if words[0] == "headway":
+            if words[:2] == ["headway", "search"]:
+                table = printed(words, Path(folder))
+                table = table and search_table(table)
+            elif words[0] == "headway":
                 table = printed([*words, "--format", "markdown"], Path(folder))
                 if table and words[1] == "compare":
                     table = "\n\n".join(table.split("\n\n")[:2])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 SCRIPT = Path(__file__).resolve().parents[2] / "docs" / "study_tables.py"
 NAMES = runpy.run_path(str(SCRIPT))
-rewritten, studies_of = NAMES["rewritten"], NAMES["studies_of"]
+rewritten, search_table, studies_of = NAMES["rewritten"], NAMES["search_table"], NAMES["studies_of"]
 PAGE = """Before.
 
 <!-- headway compare bus --metrics 'return,wait time' -->
@@ -25,6 +25,19 @@ Between.
 
 <!-- python -m benchmarks merge -->
 <!-- end -->
+"""
+SEARCHED = """algorithm\tcandidate\tscore\tsteps\tsettings
+ippo\t0\t2\t800\talgo.lr=1
+mappo\t1\t3\t800\talgo.lr=2
+
+algorithm\tcandidates\tto the end\tfailed\tsteps\tCPU s\tkWh
+ippo\t2 of 2\t2\t0\t1600\t1366.85\t0.000456464
+mappo\t2 of 2\t2\t0\t1600\t22.6\t0.000789767
+
+candidates n\tippo\tmappo
+1\t15.54 ± 29\t68.54 ± 3.5
+2\t32 ± 22\t70.53 ± 2.8
+n = 1 to 2: mappo, then ippo
 """
 
 
@@ -55,6 +68,18 @@ def test_the_studies_of_a_page_are_those_of_its_tables() -> None:
     assert studies_of(PAGE) == ["bus", "merge_study"]
 
 
+def test_the_table_of_a_search_is_the_expected_best_of_n_with_its_cost() -> None:
+    assert search_table(SEARCHED).splitlines() == [
+        "| candidates n | ippo | mappo |",
+        "| --- | ---: | ---: |",
+        "| 1 | 15.54 ± 29 | 68.54 ± 3.5 |",
+        "| 2 | 32 ± 22 | 70.53 ± 2.8 |",
+        "| CPU s | 1,367 | 23 |",
+        "| kWh | 0.00046 | 0.00079 |",
+    ]
+    assert studies_of("<!-- headway search merge --show -->\n<!-- end -->\n") == []
+
+
 def test_a_block_whose_command_fails_stays() -> None:
     assert rewritten(PAGE, lambda _: None) == PAGE
 
@@ -63,7 +88,7 @@ def test_every_table_on_a_page_is_that_of_its_command() -> None:
     tables = 0
     for page in (SCRIPT.parent / "studies").glob("*.md"):
         text = page.read_text(encoding="utf-8")
-        opened = re.findall(r"<!-- headway (.*?) -->", text)
+        opened = re.findall(r"<!-- headway ((?:compare|report) .*?) -->", text)
         printed = re.findall(r"Written by\s`headway (.*) --format markdown`\.", text)
         assert opened == printed, page.name
         tables += len(opened)

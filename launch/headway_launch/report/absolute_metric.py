@@ -8,15 +8,8 @@ import pandas as pd
 from headway.rollout.lookahead import is_lookahead
 from headway.stats import frames
 from headway.wording import counted
-from headway_launch.report.elements import (
-    MISSING,
-    Part,
-    Section,
-    formatted,
-    table_by_task,
-    with_deviation,
-    with_interval,
-)
+from headway_launch.console.number_formats import MISSING, formatted, with_deviation, with_interval
+from headway_launch.report.elements import Part, Section, table_by_task
 from headway_launch.report.reward_tables import against_cells, exact_against
 from headway_launch.report.study_data import DifferenceFromBest, StudyData
 from headway_launch.runner.comparison import difference

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import TYPE_CHECKING, NamedTuple
 
+from headway_launch.console.number_formats import MISSING, formatted, with_interval
 from headway_launch.console.tables import Value
-from headway_launch.report.elements import MISSING, Table, formatted, with_interval
+from headway_launch.report.elements import Table
 from headway_launch.runner.comparison import difference
 from headway_launch.studies.learner_pairs import PairRow, pairs_note
 

@@ -2,15 +2,8 @@
 
 from headway.stats import frames, plots
 from headway.wording import counted
-from headway_launch.report.elements import (
-    Part,
-    Picture,
-    Section,
-    formatted,
-    scale_of,
-    table_by_task,
-    with_deviation,
-)
+from headway_launch.console.number_formats import formatted, scale_of, with_deviation
+from headway_launch.report.elements import Part, Picture, Section, table_by_task
 from headway_launch.report.study_data import StudyData
 
 _POWER_MODES = {"energy.cpu": "CPU", "energy.gpu": "GPU", "energy.ram": "RAM"}

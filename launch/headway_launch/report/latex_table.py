@@ -21,7 +21,7 @@ _ESCAPES = {
 }
 _MINUS = re.compile(r"(?<![\w.-])-(?=\d)")
 _SMALL = re.compile(r"(?:\$(-)\$|(\+))?(?<![\w.])(\d\.\d+)e-0*(\d+)\b")
-"""Numbers as `elements.formatted` writes them below 1e-4, with the sign in LaTeX."""
+"""Numbers as `number_formats.formatted` writes them below 1e-4, with the sign in LaTeX."""
 _BREAK = "\0"
 _COMMENT_WIDTH = 100
 _LONG_TEXT = 40

@@ -7,15 +7,8 @@ import pandas as pd
 from headway.stats import frames, plots, ranks
 from headway.stats.samples import CONFIDENCE
 from headway.wording import counted
-from headway_launch.report.elements import (
-    Part,
-    Picture,
-    Section,
-    Table,
-    formatted,
-    with_deviation,
-    with_interval,
-)
+from headway_launch.console.number_formats import formatted, with_deviation, with_interval
+from headway_launch.report.elements import Part, Picture, Section, Table
 from headway_launch.report.study_data import StudyData
 from headway_launch.studies.learner_pairs import p_text
 from headway_launch.studies.runs import rule_phases

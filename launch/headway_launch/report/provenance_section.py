@@ -11,7 +11,8 @@ import pandas as pd
 from headway.contracts.errors import HeadwayError
 from headway.stats.curves import FEWEST_POINTS
 from headway.store.index import RunRow
-from headway_launch.report.elements import MISSING, Listing, Part, Section, Table, formatted, scale_of
+from headway_launch.console.number_formats import MISSING, formatted, scale_of
+from headway_launch.report.elements import Listing, Part, Section, Table
 from headway_launch.report.reproduction_line import reproducing_line
 from headway_launch.report.study_data import StudyData
 from headway_launch.runner.recorder import TRACEBACK

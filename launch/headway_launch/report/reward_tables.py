@@ -9,19 +9,10 @@ import pandas as pd
 from headway.stats import frames, plots
 from headway.stats.curves import FEWEST_POINTS
 from headway.wording import counted
+from headway_launch.console.number_formats import MISSING, formatted, with_deviation, with_interval
 from headway_launch.experiments.start_line import rule_start, start_line
 from headway_launch.report.comparison_table import pairs_table
-from headway_launch.report.elements import (
-    MISSING,
-    Part,
-    Picture,
-    Section,
-    Table,
-    formatted,
-    table_by_task,
-    with_deviation,
-    with_interval,
-)
+from headway_launch.report.elements import Part, Picture, Section, Table, table_by_task
 from headway_launch.report.study_data import DifferenceFromBest, StudyData, mean_of_known
 from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 

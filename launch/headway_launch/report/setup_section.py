@@ -5,7 +5,8 @@ from typing import Any
 import pandas as pd
 
 from headway.wording import spans
-from headway_launch.report.elements import MISSING, Part, Section, table_by_task
+from headway_launch.console.number_formats import MISSING
+from headway_launch.report.elements import Part, Section, table_by_task
 from headway_launch.report.study_data import StudyData
 
 

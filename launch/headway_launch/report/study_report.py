@@ -5,9 +5,10 @@ import pandas as pd
 from headway.stats.samples import CONFIDENCE
 from headway.store.provenance import provenance
 from headway.wording import counted
+from headway_launch.console.number_formats import formatted, scale_of, with_interval
 from headway_launch.report.absolute_metric import absolute_metric_section
 from headway_launch.report.costs import energy_section, tradeoff_section
-from headway_launch.report.elements import Report, Section, formatted, scale_of, with_interval
+from headway_launch.report.elements import Report, Section
 from headway_launch.report.learning import across_environments, curves_section, episode_metrics_section
 from headway_launch.report.provenance_section import provenance_section, runs_section
 from headway_launch.report.published import published_sections

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from headway.config.experiment import NO_PRESET
 from headway.stats.best_of import BestOf, expected_best
 from headway.store.atomic_files import make_folder, write_text
+from headway_launch.console.number_formats import with_deviation
 from headway_launch.console.tables import Value, print_table, without_empty
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.options import own_configs
@@ -133,7 +134,7 @@ def _best_of_rows(curves: Mapping[str, BestOf]) -> list[tuple[Value, ...]]:
         (
             n,
             *(
-                f"{best.mean[n - 1]:.4g} +- {best.std[n - 1]:.2g}" if n <= len(best.mean) else None
+                with_deviation(best.mean[n - 1], best.std[n - 1]) if n <= len(best.mean) else None
                 for best in curves.values()
             ),
         )

@@ -21,7 +21,7 @@ from headway.store.query import newest_runs
 from headway.store.run_folder import best_file, rules_file
 from headway.store.tracking.sync import local_experiment
 from headway.wording import counted
-from headway_launch.report.elements import formatted
+from headway_launch.console.number_formats import formatted
 from headway_launch.web.mlflow_ui import PREFIX, ReadOnlyUI, runs_page
 
 if TYPE_CHECKING:

@@ -4,7 +4,8 @@ import re
 
 import pytest
 
-from headway_launch.report.elements import MISSING, Table
+from headway_launch.console.number_formats import MISSING
+from headway_launch.report.elements import Table
 from headway_launch.report.latex_table import latex, latex_table
 
 MEANS = {

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from headway.stats.curves import FEWEST_POINTS
-from headway_launch.report.elements import MISSING, Part, Section, Table, formatted, with_deviation
+from headway_launch.console.number_formats import MISSING, formatted, with_deviation
+from headway_launch.report.elements import Part, Section, Table
 from headway_launch.report.published.episode_metrics import (
     env_of,
     published_results,

@@ -10,7 +10,7 @@ import pandas as pd
 from headway.contracts import PublishedResults
 from headway.registry import env_entry
 from headway.stats.samples import Interval
-from headway_launch.report.elements import MISSING, formatted, with_deviation
+from headway_launch.console.number_formats import MISSING, formatted, with_deviation
 from headway_launch.report.study_data import StudyData, mean_of_known
 from headway_launch.studies.runs import configuration
 

@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from headway_launch.report.elements import MISSING, Part, Section, Table, with_interval
+from headway_launch.console.number_formats import MISSING, with_interval
+from headway_launch.report.elements import Part, Section, Table
 from headway_launch.report.published.episode_metrics import (
     MetricColumn,
     env_of,

@@ -7,7 +7,8 @@ import pandas as pd
 
 from headway.contracts import PublishedResult
 from headway.stats.intervals import difference_of_means
-from headway_launch.report.elements import MISSING, Part, Section, Table
+from headway_launch.console.number_formats import MISSING
+from headway_launch.report.elements import Part, Section, Table
 from headway_launch.report.published.episode_metrics import (
     MetricColumn,
     env_of,
