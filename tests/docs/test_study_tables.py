@@ -89,7 +89,7 @@ def test_every_table_on_a_page_is_that_of_its_command() -> None:
     for page in (SCRIPT.parent / "studies").glob("*.md"):
         text = page.read_text(encoding="utf-8")
         opened = re.findall(r"<!-- headway ((?:compare|report) .*?) -->", text)
-        printed = re.findall(r"Written by\s`headway (.*) --format markdown`\.", text)
+        printed = re.findall(r"Written\sby\s`headway (.*) --format markdown`\.", text)
         assert opened == printed, page.name
         tables += len(opened)
     assert tables
