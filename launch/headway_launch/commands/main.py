@@ -3,6 +3,7 @@
 import argparse
 import os
 import re
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -127,18 +128,22 @@ class _Parser(argparse.ArgumentParser):
 
         if f"{key}=" not in override_completions(self._words, key):
             return ""
+        return f"{key}={self._typed_value(option)}"
+
+    def _typed_value(self, option: str) -> str:
+        """Return the value of `option` on the command line, quoted for a shell, or VALUE if it has none."""
         place = next(i for i, word in enumerate(self._words) if word.startswith(option))
         _, has_value, value = self._words[place].partition("=")
         following = [word for word in self._words[place + 1 : place + 2] if not word.startswith("-")]
-        return f"{key}={value if has_value else ''.join(following) or 'VALUE'}"
+        return shlex.quote(value if has_value else "".join(following) or "VALUE")
 
     def _store_option(self, message: str) -> str:
         """Return the store option that this command takes, if an error is about the other form; else an empty
         string."""
         if "store.root=" in message and self.get_default("store") is not None:
-            return "--store FOLDER"
+            return f"--store {self._typed_value('store.root')}"
         trains = self.get_default("dry_run") is not None
-        return "store.root=FOLDER" if "--store" in message and trains else ""
+        return f"store.root={self._typed_value('--store')}" if "--store" in message and trains else ""
 
 
 def main() -> None:

@@ -1,6 +1,7 @@
 """`headway render`: render an episode as an animated GIF or MP4 video, or one of its steps as a PNG."""
 
 import argparse
+import shlex
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -119,7 +120,8 @@ def _check(arguments: argparse.Namespace, output: Path) -> None:
     if output.suffix not in _SUFFIXES:
         raise HeadwayError(f"--output: {output} must end in {', '.join(_SUFFIXES[:-1])} or {_SUFFIXES[-1]}")
     if arguments.step is not None and output.suffix != ".png":
-        raise HeadwayError("--step needs a single picture: give --output NAME.png")
+        png = shlex.quote(str(output.with_suffix(".png")))
+        raise HeadwayError(f"--step needs a single picture: give --output {png}")
     if arguments.episode < 0 or (arguments.seed or 0) < 0 or (arguments.step or 0) < 0:
         raise HeadwayError("--episode, --seed and --step must be at least 0")
     if arguments.fps is not None and not 0.1 <= arguments.fps <= 50.0:

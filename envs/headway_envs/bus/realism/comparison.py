@@ -73,7 +73,7 @@ def compare_replay(
     """
     if made_up := _made_up(tables):
         raise HeadwayError(
-            f"SCENARIO: {made_up}, so there are no measurements; give a scenario of recorded trips, "
+            f"{made_up}, so there are no measurements; give a scenario of recorded trips, "
             "written by headway data sunt or, from calls.csv, by headway data csv"
         )
     config = replace(config, start_hour=HOURS[0], end_hour=HOURS[1])
@@ -160,12 +160,12 @@ def _city_statistics(tables: Tables, config: BusConfig) -> dict[str, tuple[float
 def _made_up(tables: Tables) -> str:
     """Return why the tables' trips or times are not recorded ones, from the metadata; empty if they are."""
     if source_of(tables.meta).startswith(SYNTHETIC):
-        return "its trips are made up"
+        return "the scenario's trips are made up"
     stated = tables.meta.get("made_up")
     if not stated:
         return ""
     names = ", ".join(map(str, stated)) if isinstance(stated, Mapping) else str(stated)
-    return f"according to made_up in its meta.json {names} are made up or scheduled"
+    return f"according to made_up in the scenario's meta.json {names} are made up or scheduled"
 
 
 def _table_statistics(tables: Tables, config: BusConfig) -> dict[str, tuple[float, str]]:

@@ -133,13 +133,13 @@ def _config(arguments: argparse.Namespace) -> "BusConfig":
     from headway_envs.bus.prepare import REPLAY_FIXED
     from headway_launch.experiments.compose import compose
 
-    options = {"scenario": "SCENARIO", "day_type": "--day-type"}
+    options = {"scenario": f"the scenario in place of {arguments.scenario}", "day_type": "--day-type"}
     for override in arguments.overrides:
         key = override.split("=")[0]
         if not key.startswith("env.args."):
             raise HeadwayError(f"{key}: only env.args.* of the bus environment can be given here")
         if key.removeprefix("env.args.") in options:
-            raise HeadwayError(f"{key}: give {options[key.removeprefix('env.args.')]} instead")
+            raise HeadwayError(f"{key}: give {options[key.removeprefix('env.args.')]}")
         _refuse_fixed(key, ("scenario_seed", "start_hour", "end_hour", *REPLAY_FIXED))
     config = compose(["env=bus", *arguments.overrides]).env_config
     assert isinstance(config, BusConfig)

@@ -38,17 +38,16 @@ def check_output(arguments: argparse.Namespace) -> Path:
     out = Path(arguments.out)
     if str(out) in SCENARIOS:
         raise HeadwayError(
-            f"OUT: env.args.scenario={out} selects the built-in scenario; choose another name, such as "
-            f"my_{out}"
+            f"env.args.scenario={out} selects the built-in scenario; choose another name, such as my_{out}"
         )
     here = Path.cwd()
     if out.resolve() in (here, *here.parents):
-        raise HeadwayError(f"OUT: {out} is the working directory or one of its parents; name a folder in it")
+        raise HeadwayError(f"{out} is the working directory or one of its parents; name a folder in it")
     if out.exists() and not out.is_dir():
-        raise HeadwayError(f"OUT: {out} is a file; name a folder")
+        raise HeadwayError(f"{out} is a file; name a folder")
     _refuse_others(out)
     if out.is_dir() and any(out.iterdir()) and not arguments.replace:
-        raise HeadwayError(f"OUT: {out} holds a scenario; --replace overwrites it")
+        raise HeadwayError(f"{out} holds a scenario; --replace overwrites it")
     return out
 
 
@@ -62,7 +61,7 @@ def _refuse_others(out: Path) -> None:
     if held and not others and not tables & set(held):
         others = ["meta.json"]  # without tables, it may not be a scenario's
     if others:
-        raise HeadwayError(f"OUT: {out} holds other files ({min(others)}); name a new folder")
+        raise HeadwayError(f"{out} holds other files ({min(others)}); name a new folder")
 
 
 def write_scenario(tables: "Tables", out: Path) -> None:

@@ -43,7 +43,7 @@ def test_observed_trips_have_the_length_of_their_links(recorded: Tables) -> None
 
 
 def test_made_up_trips_are_no_measurement() -> None:
-    with pytest.raises(HeadwayError, match="its trips are made up, so there are no measurements"):
+    with pytest.raises(HeadwayError, match="the scenario's trips are made up, so there are no measurements"):
         compare_replay(scenario_tables("line", 0), BusConfig(), 1)
 
 
@@ -52,7 +52,10 @@ def test_a_feed_s_schedule_is_no_measurement(recorded: Tables) -> None:
     with pytest.raises(HeadwayError) as error:
         compare_replay(replace(recorded, meta=feed), BusConfig(), 1)
     said = str(error.value)
-    assert "made_up in its meta.json demand, alighting, link_times.mean_s are made up or scheduled" in said
+    assert (
+        "made_up in the scenario's meta.json demand, alighting, link_times.mean_s are made up or scheduled"
+        in said
+    )
     assert "so there are no measurements; give a scenario of recorded trips" in said
 
 

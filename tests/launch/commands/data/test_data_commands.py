@@ -52,21 +52,21 @@ def test_every_help_shows_examples_and_imports_nothing_heavy() -> None:
         (["plot", "line", "--output", "x"], ["--output: x has no suffix", "as x.png or .svg"]),
         (["plot", "line", "--output", "no/x.png"], ["--output: no/x.png cannot", "there is no folder no;"]),
         (["plot", "line", "--day-type", "monday"], ["--day-type", "monday"]),
-        (["gtfs", "nowhere.zip", "x"], ["FEED: nowhere.zip does not exist; give a GTFS feed"]),
+        (["gtfs", "nowhere.zip", "x"], ["nowhere.zip does not exist; give a GTFS feed"]),
         (["gtfs", "f", "x", "--weekday", "soon"], ["--weekday: 'soon' is not a date YYYY-MM-DD"]),
         (["gtfs", "f", "x", "--boardings-per-trip", "0"], ["--boardings-per-trip must be above 0"]),
-        (["csv", "nowhere", "x"], ["FOLDER: nowhere is not a folder; give the one that holds stops.csv"]),
-        (["sunt", "nowhere", "x"], ["RAW: nowhere is not a folder"]),
+        (["csv", "nowhere", "x"], ["nowhere is not a folder; give the one that holds stops.csv"]),
+        (["sunt", "nowhere", "x"], ["nowhere is not a folder"]),
         (["sunt", "f", "x", "--sunday", "0"], ["--sunday: '0' is not a date"]),
         (["describe", "corridr"], ["did you mean 'corridor'?"]),
         (["describe", "line", "--seed", "-1"], ["--seed must be at least 0, not -1"]),
         (["plot", "line", "--seed", "-1"], ["--seed must be at least 0, not -1"]),
         (["describe", "line", "--lines", "-2"], ["--lines must be at least 0, not -2"]),
         (["realism", "nowhere"], ["there is no folder nowhere"]),
-        (["realism", "line"], ["SCENARIO: its trips are made up, so there are no measurements; give"]),
+        (["realism", "line"], ["the scenario's trips are made up, so there are no measurements; give"]),
         (["realism", "line", "--days", "0"], ["--days must be at least 1"]),
         (["realism", "line", "algo.lr=3"], ["algo.lr: only env.args.* of the bus environment"]),
-        (["realism", "line", "env.args.day_type=sunday"], ["env.args.day_type: give --day-type instead"]),
+        (["realism", "line", "env.args.day_type=sunday"], ["env.args.day_type: give --day-type"]),
         (["realism", "line", "env.args.noise={dispatch_s: 9}"], ["fixes noise.dispatch_s; give the other"]),
         (["realism", "line", "env.args.boardin_s=3"], ["did you mean env.args.boarding_s?"]),
     ],
@@ -261,7 +261,7 @@ def test_the_old_scenario_returns_if_the_new_one_fails(
 def test_a_folder_that_could_not_be_named_to_the_environment_is_refused(out: str, empty_folder: Path) -> None:
     name = Path(out).name
     line = refused("data", "synthetic", out)
-    assert f"OUT: env.args.scenario={name} selects the built-in scenario; choose" in line
+    assert f"env.args.scenario={name} selects the built-in scenario; choose" in line
     assert not list(empty_folder.iterdir())
     assert run(["data", "synthetic", f"towns/{name}"]) == 0
 

@@ -149,11 +149,11 @@ def _texts(path: Path) -> tuple[pd.DataFrame, str]:
         near = difflib.get_close_matches(path.name, others, 1)
         hint = f" (rename {near[0]}?)" if near else ""
         instead = ", or calls.csv with recorded calls" if path.stem == "trips" else ""
-        raise HeadwayError(f"FOLDER: {path} is missing: write it{hint}{instead}")
+        raise HeadwayError(f"{path} is missing: write it{hint}{instead}")
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise HeadwayError(f"FOLDER: {path} cannot be read ({error.strerror}); replace it") from error
+        raise HeadwayError(f"{path} cannot be read ({error.strerror}); replace it") from error
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -41,9 +41,7 @@ def import_csv(folder: Path) -> Tables:
     Raises HeadwayError naming file, row and column of a fault.
     """
     if not folder.is_dir():
-        raise HeadwayError(
-            f"FOLDER: {folder} is not a folder; give the one that holds stops.csv and lines.csv"
-        )
+        raise HeadwayError(f"{folder} is not a folder; give the one that holds stops.csv and lines.csv")
     counted: Counter[str] = Counter()
     lines = read_lines(folder)
     network = _network(folder, lines, counted)
@@ -55,7 +53,7 @@ def import_csv(folder: Path) -> Tables:
     if is_there(folder, "calls"):
         if spare := [f"{name}.csv" for name in ("trips", "link_times") if is_there(folder, name)]:
             raise HeadwayError(
-                f"FOLDER: calls.csv replaces {' and '.join(spare)}; keep them, or it, in another folder"
+                f"{folder}: calls.csv replaces {' and '.join(spare)}; keep them, or it, in another folder"
             )
         calls, dates = read_calls(folder, lines, counted)
         times = _smoothed_times(calls, network, counted)
@@ -71,7 +69,7 @@ def import_csv(folder: Path) -> Tables:
     if is_there(folder, "demand"):
         counts = _counts(folder, lines)
     elif calls is None or not has_counts(calls):
-        raise HeadwayError(f"FOLDER: {folder} has no passenger counts: {_MAKE}")
+        raise HeadwayError(f"{folder} has no passenger counts: {_MAKE}")
     else:
         counts = counts_of_calls(calls)
     source = "demand.csv" if is_there(folder, "demand") else "calls.csv"
@@ -283,7 +281,7 @@ def _demand(counts: pd.DataFrame, trips: pd.DataFrame, counted: Counter[str]) ->
     table = table[~outside]
     for day in trips["daytype"].unique():
         if not (table["daytype"] == day).any():
-            raise HeadwayError(f"FOLDER: a {day} has trips but no boardings in their hours: {_MAKE}")
+            raise HeadwayError(f"a {day} has trips but no boardings in their hours: {_MAKE}")
     leaving = trips.assign(hour=trips["dep_s"] // 3600).groupby([*running, "hour"]).size()
     calls = leaving.reindex(pd.MultiIndex.from_frame(table[[*running, "hour"]])).fillna(0)
     return table.assign(calls=calls.to_numpy(np.int64)).rename(columns={"boardings": "board"})

@@ -38,7 +38,7 @@ def import_transitgym(folder: Path) -> Tables:
     column of a fault, of the rewritten files if it is found there.
     """
     if not folder.is_dir():
-        raise HeadwayError(f"FOLDER: {folder} is not a folder; give the one that holds {', '.join(COLUMNS)}")
+        raise HeadwayError(f"{folder} is not a folder; give the one that holds {', '.join(COLUMNS)}")
     read = {name: _read(folder, name) for name in COLUMNS}
     counted: Counter[str] = Counter()
     calls = _calls(read["stop_times.txt"], read["trips.txt"], counted)
@@ -73,7 +73,7 @@ def _read(folder: Path, name: str) -> pd.DataFrame:
     """Return the columns of a file as text, stripped. Raises HeadwayError if it or a column is missing."""
     path = folder / name
     if not path.is_file():
-        raise HeadwayError(f"FOLDER: {path} is missing; TransitGym's tables are {', '.join(COLUMNS)}")
+        raise HeadwayError(f"{path} is missing; TransitGym's tables are {', '.join(COLUMNS)}")
     try:
         frame = pd.read_csv(path, dtype="str", na_filter=False, encoding="utf-8-sig")
     except (ValueError, OSError) as error:

@@ -63,7 +63,9 @@ def places(feed: Feed) -> tuple[pd.DataFrame, dict[str, int]]:
     )
     wrong = ~(frame["lat"].between(-90, 90) & frame["lon"].between(-180, 180))
     if wrong.any():
-        raise HeadwayError(f"FEED: stop {frame['stop_id'][wrong].iloc[0]} lies nowhere on Earth; correct it")
+        raise HeadwayError(
+            f"stops.txt: stop {frame['stop_id'][wrong].iloc[0]} lies nowhere on Earth; correct it"
+        )
     row = {name: i for i, name in enumerate(names)}
     return frame, {str(stop): row[name] for stop, name in own[usable].items()}
 
@@ -79,7 +81,9 @@ def clean_calls(
     frame = _unwrap_midnight(_drop_unplaced_calls(_stop_time_rows(feed, trips, rows), counted), counted)
     frame = _drop_incomplete_trips(frame, len(trips), counted)
     if frame.empty:
-        raise HeadwayError("FEED: no trip of the chosen days has two calls with times; check stop_times.txt")
+        raise HeadwayError(
+            f"{feed.path}: no trip of the chosen days has two calls with times; check stop_times.txt"
+        )
     trip, stop = frame["trip"].to_numpy(np.int64), frame["stop"].to_numpy(np.int64)
     time, shape = frame["time"].to_numpy(np.float64).copy(), frame["shape"].to_numpy(np.float64)
     begins = np.append(True, np.diff(trip) > 0)

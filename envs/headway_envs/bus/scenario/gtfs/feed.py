@@ -65,8 +65,8 @@ class Feed:
     A missing file is a frame without rows.
     """
 
-    name: str
-    """Name of the folder or zip file."""
+    path: Path
+    """Folder or zip file, as named by the caller."""
     frames: dict[str, pd.DataFrame]
 
     def __getitem__(self, file: str) -> pd.DataFrame:
@@ -88,24 +88,26 @@ def read_feed(path: Path) -> Feed:
         frames = _read_zip(path)
     else:
         what = "is not a zip file" if path.is_file() else "does not exist"
-        raise HeadwayError(f"FEED: {path} {what}; give a GTFS feed, as a zip or a folder of .txt files")
+        raise HeadwayError(f"{path} {what}; give a GTFS feed, as a zip or a folder of .txt files")
     for name in REQUIRED:
         if frames[name].empty:
-            raise HeadwayError(f"FEED: {name}.txt has no rows; a timetable cannot be read without it")
+            raise HeadwayError(f"{name}.txt has no rows; a timetable cannot be read without it")
     if frames["calendar"].empty and frames["calendar_dates"].empty:
-        raise HeadwayError("FEED: neither calendar.txt nor calendar_dates.txt has rows; no day has service")
-    return Feed(path.name, frames)
+        raise HeadwayError(
+            f"{path}: neither calendar.txt nor calendar_dates.txt has rows; no day has service"
+        )
+    return Feed(path, frames)
 
 
 def _content(path: Path) -> bytes:
     """Return a file's content. Raises HeadwayError for a pipe or a device, which never ends, and if it
     cannot be read."""
     if not path.is_file():
-        raise HeadwayError(f"FEED: {path} is not a regular file; remove it")
+        raise HeadwayError(f"{path} is not a regular file; remove it")
     try:
         return path.read_bytes()
     except OSError as error:
-        raise HeadwayError(f"FEED: {path} cannot be read ({error.strerror}); fetch it again") from error
+        raise HeadwayError(f"{path} cannot be read ({error.strerror}); fetch it again") from error
 
 
 def _read_zip(path: Path) -> dict[str, pd.DataFrame]:
@@ -120,12 +122,12 @@ def _read_zip(path: Path) -> dict[str, pd.DataFrame]:
             size = sum(archive.getinfo(name).file_size for name in inside.values())
             if size > _MAX_BYTES:
                 raise HeadwayError(
-                    f"FEED: {path} unpacks to {size / 2**30:.0f} GiB, more than {_MAX_BYTES // 2**30}; "
+                    f"{path} unpacks to {size / 2**30:.0f} GiB, more than {_MAX_BYTES // 2**30}; "
                     "leave out what is not needed"
                 )
             contents = {name: unpacked(name) for name in {**REQUIRED, **_OPTIONAL}}
     except _ZIP_ERRORS as error:
-        raise HeadwayError(f"FEED: {path} is a damaged or encrypted zip ({error}); fetch it again") from error
+        raise HeadwayError(f"{path} is a damaged or encrypted zip ({error}); fetch it again") from error
     return {name: _read_frame(name, content) for name, content in contents.items()}
 
 
@@ -140,7 +142,7 @@ def seconds(file: str, column: str, texts: "pd.Series[str]") -> Floats:
         parts = str(text).split(":")
         if len(parts) != 3 or not all(part.strip().isdigit() for part in parts):
             row = texts.index[int(np.flatnonzero(codes == place)[0])] + 2
-            raise HeadwayError(f"FEED: {file}.txt, line {row}, {column}: '{text}' is not a time HH:MM:SS")
+            raise HeadwayError(f"{file}.txt, line {row}, {column}: '{text}' is not a time HH:MM:SS")
         hours, minutes, rest = (int(part) for part in parts)
         parsed[place] = 3600.0 * hours + 60.0 * minutes + rest
     return parsed[codes]
@@ -153,7 +155,7 @@ def numbers(file: str, column: str, texts: "pd.Series[str]") -> Floats:
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
         raise HeadwayError(
-            f"FEED: {file}.txt, line {texts.index[row] + 2}, {column}: '{texts.iloc[row]}' is not a number"
+            f"{file}.txt, line {texts.index[row] + 2}, {column}: '{texts.iloc[row]}' is not a number"
         )
     return np.asarray(values, np.float64)
 
@@ -170,7 +172,7 @@ def _locate_files(feed: Path, files: Iterable[str]) -> dict[str, str]:
             continue
         if name in found:
             raise HeadwayError(
-                f"FEED: {feed} holds {found[name]} and {file}; keep a single feed there and in its folders"
+                f"{feed} holds {found[name]} and {file}; keep a single feed there and in its folders"
             )
         found[name] = file
     return found
@@ -184,19 +186,17 @@ def _read_frame(name: str, content: bytes | None) -> pd.DataFrame:
     needed, wanted = REQUIRED.get(name, ()), (*REQUIRED.get(name, ()), *_OPTIONAL.get(name, ()))
     if content is None:
         if needed:
-            raise HeadwayError(f"FEED: there is no {name}.txt; a timetable cannot be read without it")
+            raise HeadwayError(f"there is no {name}.txt; a timetable cannot be read without it")
         return pd.DataFrame({column: pd.Series(dtype="str") for column in wanted})
     encoding = _encoding(content)
     header = content.split(b"\n", 1)[0].decode(encoding).lstrip("\ufeff")
     try:
         columns = [column.strip() for column in next(csv.reader([header]), [])]
     except csv.Error as error:
-        raise HeadwayError(f"FEED: {name}.txt is not a table of comma-separated values ({error})") from error
+        raise HeadwayError(f"{name}.txt is not a table of comma-separated values ({error})") from error
     for column in needed:
         if column not in columns:
-            raise HeadwayError(
-                f"FEED: {name}.txt has no column {column}; a timetable cannot be read without it"
-            )
+            raise HeadwayError(f"{name}.txt has no column {column}; a timetable cannot be read without it")
     here = [column for column in wanted if column in columns]
     try:
         table = arrow_csv.read_csv(
@@ -211,7 +211,7 @@ def _read_frame(name: str, content: bytes | None) -> pd.DataFrame:
             ),
         )
     except (pa.ArrowInvalid, UnicodeDecodeError) as error:
-        raise HeadwayError(f"FEED: {name}.txt is not a table of comma-separated values ({error})") from error
+        raise HeadwayError(f"{name}.txt is not a table of comma-separated values ({error})") from error
     frame = pd.DataFrame({column: _strip(table[column]) for column in here})
     return frame.assign(**{column: pd.Series(dtype="str") for column in wanted if column not in here})
 

@@ -101,7 +101,9 @@ def _chosen_trips(feed: Feed, options: GtfsOptions) -> pd.DataFrame:
     chosen = routes[routes["route_type"].isin(list(options.route_types))]
     if chosen.empty:
         there = ", ".join(sorted(set(routes["route_type"].dropna())))
-        raise HeadwayError(f"FEED: no route is a bus; its route types are {there}: choose some with --types")
+        raise HeadwayError(
+            f"{feed.path}: no route is a bus; its route types are {there}: choose some with --types"
+        )
     if options.lines:
         unknown = sorted(set(options.lines) - set(chosen["line"]))
         if unknown:
@@ -112,7 +114,7 @@ def _chosen_trips(feed: Feed, options: GtfsOptions) -> pd.DataFrame:
         feed["trips"].drop_duplicates("trip_id").merge(chosen[["route_id", "line", "order"]], on="route_id")
     )
     if trips.empty:
-        raise HeadwayError("FEED: none of the chosen routes has a trip in trips.txt")
+        raise HeadwayError(f"{feed.path}: none of the chosen routes has a trip in trips.txt")
     given = trips["direction_id"].map({"0": "I", "1": "V"})
     by_order = trips["order"].mod(2).map({0: "I", 1: "V"})
     return trips.assign(way=given.fillna(by_order)).drop(columns="order")
@@ -215,7 +217,7 @@ def _day_trips(
         parts.append(part.assign(daytype=day))
     day_trips: pd.DataFrame = pd.concat(parts, ignore_index=True)
     if day_trips.empty:
-        raise HeadwayError("FEED: no trip of the chosen days can be used; check stop_times.txt")
+        raise HeadwayError(f"{feed.path}: no trip of the chosen days can be used; check stop_times.txt")
     return day_trips
 
 
@@ -229,7 +231,7 @@ def _frequencies(feed: Feed, trips: pd.DataFrame, first: Floats) -> pd.DataFrame
     wrong = np.flatnonzero((row >= 0) & ~((every >= 1) & (end >= begin)))
     if len(wrong):
         raise HeadwayError(
-            f"FEED: frequencies.txt, line {wrong[0] + 2}: headway_secs must be at least 1 and end_time not "
+            f"frequencies.txt, line {wrong[0] + 2}: headway_secs must be at least 1 and end_time not "
             "before start_time"
         )
     found = [
@@ -355,9 +357,9 @@ def _meta(
 ) -> dict[str, object]:
     """Return the metadata of the scenario."""
     agencies = sorted(set(feed["agency"]["agency_name"].dropna()))
-    version = [str(value) for value in feed["feed_info"]["feed_version"].dropna()[:1]]
+    version = "".join(f", version {value}" for value in feed["feed_info"]["feed_version"].dropna()[:1])
     return {
-        "source": f"GTFS feed {feed.name}{''.join(f', version {v}' for v in version)}: {', '.join(agencies)}",
+        "source": f"GTFS feed {feed.path.name}{version}: {', '.join(agencies)}",
         "licence": "that of the feed; ask its publisher",
         "dates": {day: str(date) for day, (date, _) in days.items()},
         "made_up": {

@@ -46,7 +46,9 @@ def chosen_days(
         best = int(np.argmax(load))
         found[day] = dates[best], {services[i] for i in np.flatnonzero(runs[best])}
     if not found:
-        raise HeadwayError(f"FEED: no trip runs on any weekday or sunday from {dates[0]} to {dates[-1]}")
+        raise HeadwayError(
+            f"{feed.path}: no trip runs on any weekday or sunday from {dates[0]} to {dates[-1]}"
+        )
     return found
 
 
@@ -59,12 +61,12 @@ def _service(feed: Feed) -> tuple[list[dt.date], list[str], NDArray[np.bool_]]:
     every = [*begin, *end, *changed]
     first, last = min(every), max(every)
     if (last - first).days > 20_000:
-        raise HeadwayError(f"FEED: its dates span {first} to {last}; correct the wrong ones")
+        raise HeadwayError(f"{feed.path}: its dates span {first} to {last}; correct the wrong ones")
     dates = [first + dt.timedelta(days=n) for n in range((last - first).days + 1)]
     for name, frame in (("calendar", calendar), ("calendar_dates", exceptions)):
         if frame["service_id"].isna().any():
             row = frame.index[frame["service_id"].isna()][0]
-            raise HeadwayError(f"FEED: {name}.txt, line {row + 2}: service_id is blank; name the service")
+            raise HeadwayError(f"{name}.txt, line {row + 2}: service_id is blank; name the service")
     services = sorted({*calendar["service_id"], *exceptions["service_id"]})
     place = {service: i for i, service in enumerate(services)}
     runs = np.zeros((len(dates), len(services)), np.bool_)
@@ -88,6 +90,6 @@ def _dates(file: str, column: str, texts: "pd.Series[str]") -> list[dt.date]:
             found.append(dt.datetime.strptime(str(text), "%Y%m%d").date())
         except ValueError as error:
             raise HeadwayError(
-                f"FEED: {file}.txt, line {row + 2}, {column}: '{text}' is not a date YYYYMMDD"
+                f"{file}.txt, line {row + 2}, {column}: '{text}' is not a date YYYYMMDD"
             ) from error
     return found

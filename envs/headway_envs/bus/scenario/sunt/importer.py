@@ -152,7 +152,7 @@ def _timetable_days(days: Sequence[Day], wanted: Mapping[DayType, dt.date | None
         if own:
             found[kind] = max(own, key=lambda day: day.trips)
     if not found:
-        raise HeadwayError("RAW: there are trips on saturdays only, none on a weekday or sunday")
+        raise HeadwayError("od-*.parquet: there are trips on saturdays only, none on a weekday or sunday")
     return found
 
 

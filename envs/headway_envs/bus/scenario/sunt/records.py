@@ -5,6 +5,7 @@ Irregularities are corrected and counted.
 
 import datetime as dt
 import re
+import shlex
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,16 +80,17 @@ def find_days(raw: Path) -> dict[dt.date, Path]:
     Raises HeadwayError if there are none.
     """
     if not raw.is_dir():
-        raise HeadwayError(f"RAW: {raw} is not a folder; give the one that holds SUNT's files od-*.parquet")
+        raise HeadwayError(f"{raw} is not a folder; give the one that holds SUNT's files od-*.parquet")
     found = {
         dt.date(*(int(part) for part in match.groups())): file
         for file in sorted(raw.rglob("od-*.parquet"))
         if (match := _OD.fullmatch(file.name))
     }
     if not found and (raw / "pattern_stops.parquet").is_file():
-        raise HeadwayError(f"RAW: {raw} is a scenario already; use it as it is: env.args.scenario={raw}")
+        scenario = shlex.quote(f"env.args.scenario={raw}")
+        raise HeadwayError(f"{raw} is a scenario already; use it as it is: {scenario}")
     if not found:
-        raise HeadwayError(f"RAW: there is no file od-YYYY-MM-DD.parquet below {raw}")
+        raise HeadwayError(f"there is no file od-YYYY-MM-DD.parquet below {raw}")
     return found
 
 
@@ -207,7 +209,7 @@ def read_places(raw: Path) -> pd.DataFrame:
         parts.append((file, text.reindex(columns=["stop_id", "lat", "lon"])))
     if not parts:
         raise HeadwayError(
-            f"RAW: there is no gtfs_bus_topique*.parquet with coordinates of stops below {raw}; put it there"
+            f"there is no gtfs_bus_topique*.parquet with coordinates of stops below {raw}; put it there"
         )
     read = [
         part.assign(**{name: _numbers(file, part[name]) for name in ("lat", "lon")}) for file, part in parts
