@@ -111,6 +111,8 @@ class CellPlan:
     run since are left to that session. None: all seeds are trained."""
     elsewhere: tuple[Path, ...] = ()
     """Folders of runs of its seeds that other sessions were training when it was planned."""
+    temporary: bool = False
+    """Whether its store is deleted at the end of the session: a failure then names no file there."""
 
 
 def plan_jobs(experiment: Experiment) -> tuple[PlannedJob, ...]:

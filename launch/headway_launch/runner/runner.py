@@ -41,17 +41,10 @@ class Runner:
 
     Raises HeadwayError before anything starts if the store cannot be used.
 
-    `plan_kept`: the study stores its plan, so runs that never start need no folder. `temporary`: the store is
-    deleted afterwards.
+    `plan_kept`: the study stores its plan, so runs that never start need no folder.
     """
 
-    def __init__(
-        self,
-        cells: Sequence[CellPlan],
-        debug: bool = False,
-        plan_kept: bool = False,
-        temporary: bool = False,
-    ) -> None:
+    def __init__(self, cells: Sequence[CellPlan], debug: bool = False, plan_kept: bool = False) -> None:
         self._config: ExperimentConfig = cells[0].experiment.config
         self._debug, self._plan_kept = debug, plan_kept
         self._own_cpu_s = 0.0
@@ -64,9 +57,7 @@ class Runner:
             compile_kernels_of([cell.experiment for cell in cells if cell.jobs])
             self._store = SessionStore(self._config.store)
             self._cells = [SessionCell(self._store, cell) for cell in cells]
-            self._jobs = [
-                SessionJob.of(cell, job, temporary) for cell in self._cells for job in cell.plan.jobs
-            ]
+            self._jobs = [SessionJob.of(cell, job) for cell in self._cells for job in cell.plan.jobs]
             self._energy = SessionEnergy(self._config.energy, self._jobs)
         except BaseException:
             self._cluster.close()

@@ -30,11 +30,9 @@ class SessionJob:
     """Folders of runs of its seeds that other sessions train or have finished, so that it does not start."""
     lost_at: list[int] = field(default_factory=list)
     """Last durable iteration at each loss of the training process."""
-    temporary: bool = False
-    """Whether its store is deleted at the end of the session: a failure then names no file there."""
 
     @classmethod
-    def of(cls, cell: SessionCell, planned: PlannedJob, temporary: bool = False) -> "SessionJob":
+    def of(cls, cell: SessionCell, planned: PlannedJob) -> "SessionJob":
         """Return a planned job, waiting to start."""
         config = cell.config
         progress = JobProgress(
@@ -45,7 +43,7 @@ class SessionJob:
             iteration_steps=config.rollout.copies * config.rollout.steps,
             label=cell.plan.label,
         )
-        return cls(cell, planned, progress, temporary=temporary)
+        return cls(cell, planned, progress)
 
     @property
     def account(self) -> str:
@@ -68,7 +66,7 @@ class SessionJob:
         runs = self.cell.runs(self.planned, shares)
         before = [run.energy.last() for run in runs] if self.planned.resumed else []
         self.recorder = JobRecorder(runs, uses_gpu=uses_gpu(self.planned), before=before)
-        if not self.temporary:
+        if not self.cell.plan.temporary:
             self.progress.traceback = f"{relative(runs[0].directory)}/{TRACEBACK}"
         return self.recorder
 

@@ -102,7 +102,7 @@ class Verification:
         if reasons:
             print_line(f"headway: {run_id} may differ in its last digits: {'; '.join(reasons)}")
         print_line(f"headway: {planned.description}")
-        runner = Runner([CellPlan(job.experiment, (job,))], debug, temporary=True)
+        runner = Runner([CellPlan(job.experiment, (job,), temporary=True)], debug)
         code = runner.run(report=False)
         if code == EXIT_STOPPED:
             return None

@@ -122,10 +122,16 @@ def _newest_valid(
     where = " or ".join(str(directory) for directory in directories)
     if notices:
         raise HeadwayError(f"every checkpoint in {where} is broken: start a new run ({'; '.join(notices)})")
-    raise HeadwayError(
-        f"there is no checkpoint in {where}: train longer or anew; if it is from an archive, write that with "
-        "--checkpoints"
-    )
+    raise NoCheckpointError(directories[0].parent.name, f"there is no checkpoint in {where}")
+
+
+class NoCheckpointError(HeadwayError):
+    """A run has no checkpoint."""
+
+    def __init__(self, run: str, line: str) -> None:
+        """`run`: name of its folder."""
+        super().__init__(f"{line}: train longer or anew")
+        self.run = run
 
 
 class UnfitPolicyError(HeadwayError):

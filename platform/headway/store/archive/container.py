@@ -1,6 +1,7 @@
 """The container of an archive: a zip with checksums, whose bytes depend on its contents only."""
 
 import json
+import shlex
 import tempfile
 import zipfile
 import zlib
@@ -12,6 +13,7 @@ from typing import IO, Any
 
 from headway.contracts import HeadwayError
 from headway.store.atomic_files import write_durably
+from headway.store.checkpoint import NoCheckpointError
 
 MANIFEST = "manifest.json"
 _FORMAT, _VERSION = "headway archive", 1
@@ -69,6 +71,11 @@ def unpacked(path: Path) -> Iterator[tuple[Path, Mapping[str, Any]]]:
         manifest = unpack(path, root)
         try:
             yield root, manifest
+        except NoCheckpointError as error:
+            again = f"headway archive {shlex.quote(manifest['study'])} --checkpoints"
+            raise HeadwayError(
+                f"{path} holds no checkpoint of run {error.run}: write it with `{again}`"
+            ) from error
         except HeadwayError as error:
             error.args = (str(error).replace(str(root), str(path)),)
             raise
