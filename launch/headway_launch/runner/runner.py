@@ -212,6 +212,8 @@ class Runner:
             waiting = f"{counted(not_started, 'run')} not started; " if not_started else ""
             failed = any(result.status == "FAILED" for result in results)
             when = "to continue, once the cause of the failure is fixed" if failed else "to continue"
+            if results and not failed and not any(result.record.durable_iteration for result in results):
+                when = "nothing was kept: no checkpoint was written yet; to start again"
             print_line(f"headway: {waiting}{when}: {own_name()} resume {named}{option}")
 
     def _print_store_share(self) -> None:

@@ -259,7 +259,12 @@ class Scheduler:
             self._asked_to_stop_at = time.monotonic()
             for running in self._running.values():
                 running.training.ask_to_stop()
-            shown.note("stopping after this iteration, with a checkpoint; press Ctrl-C again to kill at once")
+                if running.job.progress.status == "starting":
+                    running.kill()  # nothing is lost: it has not begun to train
+            if not all(running.is_killed for running in self._running.values()):
+                shown.note(
+                    "stopping after this iteration, with a checkpoint; press Ctrl-C again to kill at once"
+                )
             requests.acknowledge()
         if requests.count > 1 and self._running:
             if not self._killed:

@@ -83,6 +83,18 @@ def test_a_training_process_that_does_not_stop_is_killed(
     assert "seed 0 does not stop" in told
 
 
+def test_a_training_process_that_has_not_begun_is_killed_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    starting = _Silent([])
+
+    def interrupt_once() -> None:
+        if not starting.asked:
+            signal.raise_signal(signal.SIGINT)
+
+    assert _run([starting], interrupt_once) == ["stopped"]
+    assert starting.killed
+    assert "with a checkpoint" not in capsys.readouterr().err
+
+
 def test_a_training_process_that_hangs_after_its_final_event_is_killed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

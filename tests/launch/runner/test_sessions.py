@@ -219,6 +219,7 @@ def test_a_second_ctrl_c_kills_at_once_and_the_table_shows_what_is_stored(tmp_pa
         assert not psutil.wait_procs(children, timeout=5)[1]
         shown = running.table()
     assert running.has_said("training after the last checkpoint is lost")
+    assert running.has_said("nothing was kept: no checkpoint was written yet; to start again: .* resume ")
     [row] = stored_rows(tmp_path)
     assert (row.status, row.env_steps, row.final_reward) == ("KILLED", 0, None)
     assert (shown[0]["env steps"], shown[0]["final reward (1 episode)"]) == ("0", "")
