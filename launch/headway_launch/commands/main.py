@@ -77,7 +77,9 @@ COMMANDS = {
             "csv": Command("write a scenario from an operator's own CSV files", "data.csv_files"),
             "transitgym": Command("write a scenario from a line in TransitGym's tables", "data.transitgym"),
             "sunt": Command("write a scenario from SUNT's raw files", "data.sunt"),
-            "describe": Command("show lines, fleet, headways and demand of a scenario", "data.describe"),
+            "describe": Command(
+                "show lines, stops, fleet, headways and demand of a scenario", "data.describe"
+            ),
             "plot": Command("plot a map of a scenario with loads and headways", "data.plot"),
             "realism": Command("compare simulated days with measured data", "data.realism"),
         },

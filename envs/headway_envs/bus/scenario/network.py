@@ -1,6 +1,7 @@
 """Network of the bus environment, built from a scenario's tables."""
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -415,16 +416,18 @@ def _detours(meta: Mapping[str, Any], calls: Columns, config: BusConfig) -> Floa
     return np.asarray(seconds, dtype=np.float64)
 
 
-def _at_stops(calls: Columns, stops: tuple[int, ...], key: str) -> NDArray[np.bool_]:
-    """Return whether each call (Q,) is at one of the stops; all calls without stops.
+def _at_stops(calls: Columns, config: BusConfig, key: str) -> NDArray[np.bool_]:
+    """Return whether each call (Q,) is at one of the stops of a disruption; all calls without stops.
 
     Raises HeadwayError for a stop without calls.
     """
+    stops = getattr(config.disruptions, key)
     for stop in stops:
         if stop not in calls["stop"]:
+            numbers = f"headway data describe {shlex.quote(str(config.scenario))} --stops 5000"
             raise HeadwayError(
-                f"env.args.disruptions.{key}: no trip calls at stop {stop}; choose from column `stop` of "
-                f"the scenario's table `stops`, such as {calls['stop'][0]}"
+                f"env.args.disruptions.{key}: no trip calls at stop {stop}; `{numbers}` shows the numbers "
+                f"of the stops, such as {calls['stop'][0]}"
             )
     return np.isin(calls["stop"], stops) if stops else np.ones(len(calls["stop"]), np.bool_)
 
@@ -434,14 +437,14 @@ def _surge(calls: Columns, bins: int, config: BusConfig) -> Floats:
     disruptions = config.disruptions
     begins = config.start_hour + np.arange(bins) * BIN_S / 3600.0
     during = (begins >= disruptions.surge_hour) & (begins < disruptions.surge_hour + 1)
-    there = _at_stops(calls, disruptions.surge_stops, "surge_stops")
+    there = _at_stops(calls, config, "surge_stops")
     return np.where(there[:, None] & during, disruptions.surge, 1.0)
 
 
 def _slowness(calls: Columns, pattern_calls: Integers, config: BusConfig) -> Floats:
     """Return the factor on the travel time to the next call (Q,) during the hour of slow links."""
     disruptions = config.disruptions
-    there = _at_stops(calls, disruptions.slow_stops, "slow_stops")
+    there = _at_stops(calls, config, "slow_stops")
     if not disruptions.slow_stops:
         there[:] = False
         # The link in the middle of each pattern, of its calls - 1 links.

@@ -1,4 +1,4 @@
-"""`headway data describe`: show lines, fleet, headways and demand of a scenario."""
+"""`headway data describe`: show lines, stops, fleet, headways and demand of a scenario."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ EXAMPLES = """\
 examples:
   headway data describe towns/city
   headway data describe towns/city --lines 50 --day-type sunday
+  headway data describe towns/city --stops 5000          numbers of all stops, for env.args.disruptions
   headway data describe corridor                         a built-in one
 
 'Most buses at once' is the largest number of buses on a trip at the same time in the timetable. Agents are
@@ -26,19 +27,20 @@ with at least two. Times are of the service day: 25:30 is half past one at night
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the scenario and the number of lines to list."""
-    add_scenario_arguments(parser, "day type of the listed lines (default: the first of the scenario)")
-    parser.add_argument(
-        "--lines", type=int, default=10, help="lines to list, by number of trips (default: 10; 0: none)"
-    )
+    """Add the scenario and the numbers of lines and stops to list."""
+    add_scenario_arguments(parser, "day type of the lines and stops (default: the first of the scenario)")
+    for what, order in (("lines", "number of trips"), ("stops", "boardings")):
+        said = f"{what} to list, by {order} (default: 10; 0: none)"
+        parser.add_argument(f"--{what}", type=int, default=10, help=said)
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Print the tables."""
-    if arguments.lines < 0:
-        raise HeadwayError(f"--lines must be at least 0, not {arguments.lines}")
+    for what in ("lines", "stops"):
+        if (number := getattr(arguments, what)) < 0:
+            raise HeadwayError(f"--{what} must be at least 0, not {number}")
     require_seed(arguments.seed)
-    from headway_envs.bus.scenario.description import by_day_type, by_line, meta_rows, readable
+    from headway_envs.bus.scenario.description import by_day_type, by_line, by_stop, meta_rows, readable
     from headway_envs.bus.scenario.source import scenario_tables
     from headway_envs.bus.scenario.tables import DAY_TYPES
     from headway_launch.console.tables import print_table
@@ -54,16 +56,27 @@ def execute(arguments: argparse.Namespace) -> int:
         (label, *(readable(day, field) for day in days)) for field, label in type(days[0]).LABELS.items()
     ]
     print_table(("quantity per day", *(day.day_type for day in days)), rows)
+    chosen = arguments.day_type or days[0].day_type
+    if chosen not in {day.day_type for day in days}:
+        raise HeadwayError(f"--day-type: there are no trips on a {chosen}; omit the option")
     if arguments.lines:
-        chosen = arguments.day_type or days[0].day_type
-        if chosen not in {day.day_type for day in days}:
-            raise HeadwayError(f"--day-type: there are no trips on a {chosen}; omit the option")
         lines = by_line(tables, chosen)
         print()
         print_table(
             tuple(lines[0].LABELS.values()),
             [tuple(readable(line, field) for field in line.LABELS) for line in lines[: arguments.lines]],
             title=f"{min(arguments.lines, len(lines))} of {len(lines)} lines, {chosen}",
+        )
+    if arguments.stops:
+        stops = by_stop(tables, chosen)
+        print()
+        print_table(
+            ("stop", "name", "lines", "boardings"),
+            [
+                (stop, name, lines, round(boardings, 1))
+                for stop, name, lines, boardings in stops[: arguments.stops]
+            ],
+            title=f"{min(arguments.stops, len(stops))} of {len(stops)} stops, {chosen}",
         )
     return 0
 

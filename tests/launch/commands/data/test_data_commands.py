@@ -18,6 +18,7 @@ from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepare import prepare
 from headway_envs.bus.scenario import description
 from headway_envs.bus.scenario.fitted import DOI
+from headway_envs.bus.scenario.tables import read_tables
 from headway_launch.commands.main import run
 from headway_launch.experiments.compose import compose
 
@@ -62,6 +63,7 @@ def test_every_help_shows_examples_and_imports_nothing_heavy() -> None:
         (["describe", "line", "--seed", "-1"], ["--seed must be at least 0, not -1"]),
         (["plot", "line", "--seed", "-1"], ["--seed must be at least 0, not -1"]),
         (["describe", "line", "--lines", "-2"], ["--lines must be at least 0, not -2"]),
+        (["describe", "line", "--stops", "-2"], ["--stops must be at least 0, not -2"]),
         (["realism", "nowhere"], ["there is no folder nowhere"]),
         (["realism", "line"], ["the scenario's trips are made up, so there are no measurements; give"]),
         (["realism", "line", "--days", "0"], ["--days must be at least 1"]),
@@ -159,6 +161,9 @@ def test_a_scenario_of_sundays_alone_is_run_on_sundays(tmp_path: Path) -> None:
     assert "last arrival\t08:06" in shown
     assert "headway 17:00-19:00, min\tfewer than 2 departures" in shown
     assert "headway 06:00-08:00, min\t15" in shown  # the service begins and ends within these hours
+    numbers = [line.split("\t")[:2] for line in shown[shown.index("stop\tname\tlines\tboardings") + 1 :]]
+    stops = read_tables(out).stops
+    assert sorted(numbers) == [[str(row.stop), row.name] for row in stops.itertuples(index=False)]
 
 
 def _files_of_the_guide() -> dict[str, str]:
