@@ -78,6 +78,7 @@ class TrajectoryLayout:
             "final_states": ((t, c, s), np.float32),
             "hidden_states": ((recurrent, c, n, m), np.float64),
             "begins": ((recurrent, c, n), np.bool_),
+            "episode_begins": ((recurrent, c), np.bool_),
         }
 
     @property
@@ -127,6 +128,8 @@ class Trajectory:
     begins: NDArray[np.bool_]
     """(1, C, N): the agent's stream begins at row 0, so that nothing before it counts. First axis as in
     `hidden_states`."""
+    episode_begins: NDArray[np.bool_]
+    """(1, C): the copy's episode begins at row 0. First axis as in `hidden_states`."""
 
     @classmethod
     def from_buffer(cls, buffer: Any, layout: TrajectoryLayout) -> Self:  # noqa: ANN401 - anything with a buffer
@@ -145,5 +148,5 @@ class Trajectory:
     def of_first_agents(self, count: int) -> Self:
         """Return a view of the first `count` agents."""
         arrays = {field.name: getattr(self, field.name) for field in fields(self)}
-        of_copies = {"states", "final_states", "episode_ended"}
+        of_copies = {"states", "final_states", "episode_ended", "episode_begins"}
         return type(self)(**{n: a if n in of_copies else a[:, :, :count] for n, a in arrays.items()})

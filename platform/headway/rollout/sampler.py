@@ -118,6 +118,7 @@ class Sampler:
         if self.player.hidden_states is not None:
             views["hidden_states"][0] = self._by_replica(self.player.hidden_states)
             views["begins"][0] = self._by_replica(self.player.begins)
+            views["episode_begins"][0] = self._by_replica(self.tally.lengths == 0)
         for t in range(self.plan.steps):
             self._store_observed(t, observed)
             actions, log_probs = self.player.act(parameters, observed, noise[t])

@@ -1,13 +1,13 @@
 """Recurrent networks against torch's units and against loops over agents."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from made_trajectories import DISCRETE, fabricate
+from made_trajectories import DISCRETE, TEAM, fabricate
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -308,3 +308,29 @@ def test_hidden_states_of_critics_continue_across_iterations() -> None:
         carried = before[-1]
         assert critic.networks.carried is not None
         np.testing.assert_allclose(critic.networks.carried, carried, atol=1e-12)
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_a_team_s_critic_remembers_until_the_episode_ends(ended: bool) -> None:
+    """All slots are freed with the last step of an iteration, as happens if there are few. Two iterations
+    have the values of one that is as long as both."""
+    config = named("mappo", normalise_observations=False, normalise_values=False, lr=1e-9)
+    parts = [fabricate(TEAM, 6, 3, seed, ends=0.0, leaves=0.2, hidden_size=UNITS) for seed in (1, 2)]
+    for part in parts:
+        part.terminated[-1], part.episode_ended[-1] = True, ended
+    parts[0].begins[:], parts[0].episode_begins[:] = True, True
+    parts[1].begins[:], parts[1].episode_begins[:] = True, ended
+    arrays = []
+    for field in fields(Trajectory):
+        first, second = (getattr(part, field.name) for part in parts)
+        if len(first) > 6:  # the last row is the first of the second iteration
+            first[-1] = second[0]
+        arrays.append(first if len(first) == 1 else np.concatenate([first[:6], second]))
+    whole = OnPolicyLearner(config, TEAM, (0,), "cpu")
+    expected = whole.critic.estimate(Trajectory(*arrays), whole.behaviour, 1).values
+    learner, values = OnPolicyLearner(config, TEAM, (0,), "cpu"), []
+    for iteration, part in enumerate(parts, 1):
+        estimate = learner.critic.estimate(part, learner.behaviour, iteration)
+        learner.critic.fit(estimate, iteration)
+        values.append(estimate.values)
+    np.testing.assert_allclose(np.concatenate(values), expected, atol=1e-6)

@@ -74,6 +74,7 @@ def test_hidden_states_continue_between_iterations_and_end_with_a_stream() -> No
     ended = (long["terminated"] | long["truncated"])[[19, 39]]
     for row, part in zip(ended, short[1:], strict=True):
         np.testing.assert_array_equal(part["begins"][0], row)
+        np.testing.assert_array_equal(part["episode_begins"][0], row.all(axis=1))
         assert not part["hidden_states"][0][row].any()
         assert part["hidden_states"][0].any()
     assert short[0]["begins"].all()
@@ -120,8 +121,9 @@ def test_without_snapshots_hidden_states_are_reset_with_the_episodes(tmp_path: P
         collector.begin()
         taken = iterations_of(collector, parameters_of(plan), 1, 2)
     begins, hidden_states = taken[1].arrays["begins"][0], taken[1].arrays["hidden_states"][0]
-    restarted = begins.all(axis=1)
+    restarted = taken[1].arrays["episode_begins"][0]
     assert 0 < restarted.sum() <= 3
+    assert begins[restarted].all()
     assert not hidden_states[begins].any()
     assert hidden_states[~restarted].any()
 

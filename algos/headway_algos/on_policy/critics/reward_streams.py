@@ -24,7 +24,7 @@ def stream_begins(trajectory: Trajectory, critic_inputs: CriticInputs) -> NDArra
     The last row is the time right after the last step.
     """
     if critic_inputs.single:
-        return np.concatenate([trajectory.begins.all(axis=2), trajectory.episode_ended])[..., None]
+        return np.concatenate([trajectory.episode_begins, trajectory.episode_ended])[..., None]
     return np.concatenate([trajectory.begins, trajectory.terminated | trajectory.truncated])
 
 
