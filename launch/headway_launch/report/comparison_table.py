@@ -1,6 +1,7 @@
 """Comparisons of learners with rules and with each other, and their tables for a page or a paper."""
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
@@ -147,13 +148,21 @@ class Comparison:
 
 
 def _decimals(intervals: Iterable[tuple[str, float | None, float | None]]) -> dict[str, int]:
-    """Return the decimals of each metric that show two significant digits of its narrowest interval."""
-    widths: dict[str, float] = {}
+    """Return the decimals of each metric that show two significant digits of its narrowest interval.
+
+    One more if an end that is not 0 would be shown as 0, so that it is seen whether the interval excludes 0.
+    """
+    found = defaultdict[str, list[tuple[float, float]]](list)
     for metric, low, high in intervals:
         # The interval of equal differences is as wide as the rounding of their sum.
         if low is not None and high is not None and high - low > _ROUNDING * max(abs(low), abs(high)):
-            widths[metric] = min(widths.get(metric, math.inf), high - low)
-    return {metric: 1 - math.floor(math.log10(width)) for metric, width in widths.items()}
+            found[metric].append((low, high))
+    decimals = {}
+    for metric, ends in found.items():
+        digits = 1 - math.floor(math.log10(min(high - low for low, high in ends)))
+        hidden = any(end and round(end, digits) == 0 for pair in ends for end in pair)
+        decimals[metric] = digits + hidden
+    return decimals
 
 
 def _rounded(value: float, decimals: int | None) -> float:
@@ -184,9 +193,9 @@ def comparison_table(comparison: Comparison, note: str = "") -> Table:
     learners = sum(not name.startswith("rule ") for name in comparison.controllers)
     return Table(
         "comparison",
-        f"{comparison.title}. Differences from the rule `{reference}` are paired by episode, with 95% "
-        "intervals by Student's t: over training seeds and episodes for several seeds, over episodes for one "
-        "seed or a rule." + note,
+        f"{comparison.title}. Differences from the rule `{reference}`, paired by episode, with 95% intervals "
+        "(Student's t). Intervals of several seeds cover the variation between seeds and between episodes, "
+        "those of one seed or of a rule only that between episodes." + note,
         ["controller", "seeds", *(word for name in names for word in (name, f"minus {reference} [95%]"))],
         cells,
         emphasised=frozenset(range(learners, len(cells))),

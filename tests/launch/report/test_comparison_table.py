@@ -37,6 +37,16 @@ def test_equal_differences_do_not_add_digits() -> None:
     assert comparison_table(comparison).rows[1][2:] == ["-7.9", "-7.9 [-7.9, -7.9]"]
 
 
+def test_an_end_of_an_interval_is_not_rounded_to_0() -> None:
+    """[0.2, 16.2] as [0, 16] would leave open whether 0 is excluded."""
+    rows = [
+        ComparisonRow("return", "ippo", 3, 350.0, 8.2, 0.2, 16.2, "t over episodes"),
+        ComparisonRow("return", "rule r", None, 341.8),
+    ]
+    comparison = Comparison("", "r", {"return": "return"}, ["ippo", "rule r"], rows)
+    assert comparison_table(comparison).rows[0][3] == "+8.2 [0.2, 16.2]"
+
+
 def test_a_record_of_a_pair_is_a_record_of_a_difference() -> None:
     """What is unknown is null, and JSON has no infinity."""
     rows = [ComparisonRow("return", name, 1, 2.0, 1.0, 0.0, 2.0, "t over episodes") for name in ("a", "b")]
