@@ -250,8 +250,9 @@ def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any anno
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         if isinstance(value, hint):
             return value
-        if isinstance(value, Mapping):
-            return build(hint, value, key)
+        # null for a group of keys clears what a file sets: each key has its default.
+        if isinstance(value, Mapping) or value is None:
+            return build(hint, value or {}, key)
         raise _wrong_type("mapping of keys", value, key)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         if not isinstance(value, Mapping):

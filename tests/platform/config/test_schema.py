@@ -60,6 +60,10 @@ def test_a_plain_record_builds_the_same_record_again() -> None:
     assert build(Outer, plain(record)) == record
 
 
+def test_null_for_a_group_of_keys_is_its_defaults() -> None:
+    assert build(Outer, {"inner": None}) == build(Outer, {})
+
+
 @pytest.mark.parametrize(
     ("mapping", "parts"),
     [
