@@ -19,6 +19,7 @@ from headway_launch.experiments.parameters import session_settings
 from headway_launch.runner.cell import Rules, SessionCell
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
 from headway_launch.runner.jobs import CellPlan, require_free_disk
+from headway_launch.runner.recorder import JobRecorder
 from headway_launch.runner.results import SeedResult, print_cells, print_results, run_summary
 from headway_launch.runner.scheduler import Scheduler
 from headway_launch.runner.session_energy import SessionEnergy
@@ -196,7 +197,9 @@ class Runner:
             print_line(f"compare with the rules, with intervals: {own_name()} {command} {study}{option}")
         if left := self.left_to_others():
             print_line(f"headway: {counted(len(left), 'run')} left to other sessions, not in this table")
-        self._print_store_share()
+        recorders = [job.recorder for job in self._jobs if job.recorder is not None]
+        if share := store_share(recorders, self._own_cpu_s):
+            print_line(share)
         unfinished = [result.record.run_id for result in results if result.status in ("KILLED", "FAILED")]
         not_started = sum(
             len(job.planned.seeds) - len(job.elsewhere)
@@ -216,17 +219,20 @@ class Runner:
                 when = "nothing was kept: no checkpoint was written yet; to start again"
             print_line(f"headway: {waiting}{when}: {own_name()} resume {named}{option}")
 
-    def _print_store_share(self) -> None:
-        """Print the store's share of the training time, in the training processes and in this one."""
-        recorders = [job.recorder for job in self._jobs if job.recorder is not None]
-        trained = sum(recorder.trained_s for recorder in recorders)
-        if trained >= _SHORTEST_MEASURED_S:
-            kept, own = sum(recorder.store_s for recorder in recorders), self._own_cpu_s
-            summed = ", summed over jobs" if len(recorders) > 1 else ""
-            print_line(
-                f"storage took {(kept + own) / trained:.1%} of {trained:,.0f} s of training{summed} (logs "
-                f"and checkpoints {kept:.1f} s, records and energy {own:.1f} CPU s)"
-            )
+
+def store_share(recorders: Sequence[JobRecorder], own_cpu_s: float) -> str:
+    """Return the line on the store's share of the training time; empty after a short training.
+
+    `own_cpu_s`: CPU seconds of the session's process.
+    """
+    trained, kept = (sum(getattr(each, name) for each in recorders) for name in ("trained_s", "store_s"))
+    if trained < _SHORTEST_MEASURED_S:
+        return ""
+    summed = ", summed over jobs" if len(recorders) > 1 else ""
+    return (
+        f"storage took {(kept + own_cpu_s) / trained:.1%} of {trained:,.0f} s of training{summed} (logs and "
+        f"checkpoints {kept:.1f} s, records and energy {own_cpu_s:.1f} CPU s)"
+    )
 
 
 def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False) -> tuple[int, list[Path]]:

@@ -12,7 +12,6 @@ from headway.contracts import Discrete, child_seeds
 from headway_envs.bus.config import BusConfig, NoiseConfig
 from headway_envs.bus.entry import ENTRY
 from headway_envs.bus.env import BusBatchedEnv
-from headway_envs.bus.kernel.layout import DISPATCHED, DRIVING, SKIP_NEXT
 from headway_envs.bus.kernel.passengers import update_queue
 from headway_envs.bus.prepare import prepare
 from headway_envs.bus.prepared import Prepared
@@ -178,18 +177,15 @@ def test_a_hand_made_line_is_served_as_by_a_naive_loop() -> None:
 
     env = BusBatchedEnv(prepared, 1, traced=True)
     observed, allowed = env.reset(np.array([5], np.uint64)), {}
+    # Each bus decides at one stop after the other; STOPS: at none any more.
+    to_decide = [[*(stop for of, stop in expected.allowed if of == bus), STOPS] for bus in range(3)]
     for _ in range(prepared.config.ticks - 1):
-        slots, masks = env.world.slots[0], observed.action_masks
-        assert masks is not None
-        moving = (slots["phase"] == DRIVING) | (slots["phase"] == DISPATCHED)
-        places = slots["call"] + moving + (slots["next_order"] == SKIP_NEXT)
-        before = masks[0].copy()
+        assert observed.action_masks is not None
+        before, places = observed.action_masks[0].copy(), [stops[0] for stops in to_decide]
         assert before[:, :SKIP].all()
-        outcome, observed = env.step(
-            np.array([[plan.get((bus, int(place)), 0) for bus, place in enumerate(places)]])
-        )
-        for agent in np.flatnonzero(outcome.acting[0]):
-            allowed[int(agent), int(places[agent])] = (bool(before[agent, SKIP]), bool(before[agent, LIMIT]))
+        outcome, observed = env.step(np.array([[plan.get(place, 0) for place in enumerate(places)]]))
+        for bus in np.flatnonzero(outcome.acting[0]).tolist():
+            allowed[bus, to_decide[bus].pop(0)] = (bool(before[bus, SKIP]), bool(before[bus, LIMIT]))
     assert allowed == expected.allowed
     trace, day = env.trace, env.world.days[0]
     for (bus, stop), visit in expected.visits.items():

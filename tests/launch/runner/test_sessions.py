@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
-from typing import NoReturn, cast
+from typing import NoReturn
 
 import psutil
 import pytest
 from command_lines import failed, output, refused
 from small_runs import SMALL, stored_rows
+from stored_runs import keep_run
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, IterationFinished
@@ -25,7 +25,9 @@ from headway.store.checkpoint import latest_iteration
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.experiments.compose import compose
 from headway_launch.runner.cell import SessionCell
-from headway_launch.runner.runner import Runner
+from headway_launch.runner.jobs import CellPlan, plan_jobs
+from headway_launch.runner.recorder import JobRecorder
+from headway_launch.runner.runner import Runner, store_share
 from headway_launch.runner.scheduler import StopRequests
 from headway_launch.runner.training_process import TrainingProcess
 
@@ -101,35 +103,38 @@ def test_a_run_ends_with_a_table_and_is_in_the_store(empty_folder: Path) -> None
     ]
 
 
-@pytest.mark.parametrize(("seconds", "printed"), [(59.0, False), (200.0, True)])
-def test_the_share_of_the_store_is_printed_for_long_trainings(
-    seconds: float, printed: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
-    job = SimpleNamespace(recorder=SimpleNamespace(trained_s=seconds, store_s=1.0))
-    Runner._print_store_share(cast(Runner, SimpleNamespace(_jobs=[job], _own_cpu_s=1.0)))
-    assert capsys.readouterr().err.startswith("storage took ") == printed
-    Runner._print_store_share(cast(Runner, SimpleNamespace(_jobs=[job, job], _own_cpu_s=1.0)))
-    assert ("400 s of training, summed over jobs" in capsys.readouterr().err) == printed
+def test_the_share_of_the_store_is_stated_for_long_trainings() -> None:
+    short, long = (JobRecorder([], trained_s=seconds, store_s=1.0) for seconds in (59.0, 200.0))
+    assert store_share([short], 1.0) == ""
+    assert store_share([long], 1.0).startswith("storage took 1.0% of 200 s of training (logs and ")
+    assert store_share([long, long], 2.0).startswith("storage took 1.0% of 400 s of training, summed over ")
 
 
 @pytest.mark.parametrize(
     ("words", "command"),
-    [("env.training_args.effort=0.5", "compare"), ("env.wrappers=[{name:normalize_obs_v0}]", "report")],
+    [("env.training_args.effort=0.5", "compare"), ("env.wrappers=[{name:clip_reward_v0}]", "report")],
 )
 def test_the_next_commands_can_be_pasted(
-    words: str, command: str, capsys: pytest.CaptureFixture[str]
+    words: str,
+    command: str,
+    empty_folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """`compare` takes cells of one evaluation environment only."""
-    common = ("env=tracking", "algo=ippo", "study='my lines'")
+    monkeypatch.setattr(SessionCell, "training_job", _training_job)
+    common = ("env=tracking", "algo=ippo", *SMALL, "evaluation.rules=[random]", "seed=1", "study='my lines'")
     experiments = [compose(common), compose([*common, words])]
-    cells = [SimpleNamespace(results={}, rules={"random": []}, experiment=each) for each in experiments]
-    job = SimpleNamespace(planned=SimpleNamespace(seeds=(0,)), elsewhere=(), recorder=None, lost_at=[])
-    runner = SimpleNamespace(
-        _config=experiments[0].config, _cells=cells, _jobs=[job], _plan_kept=True,
-        left_to_others=list, _print_store_share=lambda: None,
-    )  # fmt: skip
-    Runner._print_summary(cast(Runner, runner), 1.0)
-    first, second = (shlex.split(line.rpartition(": ")[2]) for line in capsys.readouterr().err.splitlines())
+    finished = Path(
+        "runs", "toys", keep_run(Path("runs"), experiments[0], 0, "FINISHED", 1, final_reward=3.0)
+    )
+    cells = [
+        CellPlan(each, plan_jobs(each), (finished,), label=f"cell {number}")
+        for number, each in enumerate(experiments)
+    ]
+    assert Runner(cells, plan_kept=True).run() == 2
+    told = capsys.readouterr().err
+    first, second = (shlex.split(line) for line in re.findall(r"(?:intervals|is fixed): (.*)", told))
     assert first[1:] == [command, "my lines"]
     assert second[1:] == ["resume", "--study", "my lines"]
 
@@ -182,12 +187,13 @@ def test_a_lost_training_process_prints_one_line_and_the_others_continue(
     assert {row.seed: row.status for row in stored_rows(tmp_path)} == {0: "FAILED", 1: "FINISHED"}
 
 
-def test_the_error_of_a_failed_run_is_printed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def training_job(*_: object) -> NoReturn:
-        raise HeadwayError("the scenario is gone")
+def _training_job(*_: object) -> NoReturn:
+    raise HeadwayError("the scenario is gone")
 
+
+def test_the_error_of_a_failed_run_is_printed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(SessionCell, "training_job", training_job)
+    monkeypatch.setattr(SessionCell, "training_job", _training_job)
     lines = failed("run", *TINY, "seed=3", "env_steps=256", "backend=serial").splitlines()
     assert any("to continue, once the cause of the failure is fixed: " in line for line in lines)
     [line] = [line for line in lines if "the scenario is gone" in line]
