@@ -43,8 +43,8 @@ def filter_runs(rows: Sequence[RunRow], conditions: Sequence[str], sort: str = "
     """Return the runs that meet all `conditions`, ordered by `sort`.
 
     A condition does not hold for a run whose value is unknown. A word after `=` or `!=` is text and needs no
-    quotes; `true`, `null` and lists are written as on a command line. `sort`: comma-separated fields, each
-    optionally followed by ` desc`; unknown values come last.
+    quotes; `true`, `null` and lists in parameters are written as on a command line. `sort`: comma-separated
+    fields, each optionally followed by ` desc`; unknown values come last.
 
     Raises HeadwayError for an unknown field or parameter and for an invalid expression.
     """
@@ -149,10 +149,15 @@ def _texts(row: RunRow) -> Mapping[str, str]:
 def _expression(text: str, columns: _Columns) -> str:
     """Return a condition in SQL: columns quoted, and the words after `=` and `!=` as text."""
 
+    field = ""
+
     def in_sql(token: re.Match[str]) -> str:
+        nonlocal field
         if token["quoted"] is not None:
             return _quoted(token["quoted"])
         if (value := token["text"]) is not None:
+            if not _FIELDS.get(field, True):  # such as a study with the name `true` or `007`
+                return token["equals"] + _quoted(value)
             return token["equals"] + (value if _is_number(value) else _quoted(_stored(value)))
         if (name := token["ordered"]) is not None:
             column = columns.named("--where", name)
@@ -160,6 +165,7 @@ def _expression(text: str, columns: _Columns) -> str:
                 raise HeadwayError(f"--where: {token[0]} orders text ({other}); use = or !=")
             return column + token["bound"]
         if (word := token["word"]) is not None and word.lower() not in _KEYWORDS:
+            field = word
             return columns.named("--where", word)
         return token[0]
 
