@@ -78,5 +78,6 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
 
 def of_agents(made: Trajectory, agents: slice) -> Trajectory:
     """Return the part of some agents; the states stay."""
-    by_agent = {field.name for field in fields(Trajectory)} - {"states", "final_states", "episode_ended"}
+    of_copies = {"states", "final_states", "episode_ended", "episode_begins"}
+    by_agent = {field.name for field in fields(Trajectory)} - of_copies
     return replace(made, **{name: getattr(made, name)[:, :, agents] for name in by_agent})

@@ -173,11 +173,11 @@ def by_line(tables: Tables, day: str) -> list[LineStatistics]:
     return sorted(found, key=lambda statistics: (-statistics.trips, statistics.line))
 
 
-def by_stop(tables: Tables, day: str) -> list[tuple[int, str, str, float]]:
+def by_stop(tables: Tables, day: str) -> list[tuple[str, str | None, str, float]]:
     """Return number, name, lines and boardings of the stops with calls on day type `day`, most boardings
     first.
 
-    The number is that of the table stops, as in `env.args.disruptions`; the name is empty if it has none.
+    The number is that of the table stops, as in `env.args.disruptions`; the name is None if it has none.
     """
     running = tables.trips.loc[tables.trips["daytype"] == day, "pattern"].unique()
     calls = tables.pattern_stops[tables.pattern_stops["pattern"].isin(running)]
@@ -186,10 +186,15 @@ def by_stop(tables: Tables, day: str) -> list[tuple[int, str, str, float]]:
     boards = calls.merge(demand, on=["pattern", "seq0"]).groupby("stop")["board"].sum()
     names = tables.stops.reindex(columns=["stop", "name"]).fillna("").set_index("stop")["name"]
     found = [
-        (int(str(stop)), str(names.get(stop)), ", ".join(sorted(own)), float(boards.get(stop, 0.0)))
+        (
+            str(stop),
+            str(names.get(stop)) or None,
+            ", ".join(sorted(own)),
+            round(float(boards.get(stop, 0.0)), 1),
+        )
         for stop, own in lines.items()
     ]
-    return sorted(found, key=lambda row: (-row[-1], row[0]))
+    return sorted(found, key=lambda row: -row[-1])
 
 
 def meta_rows(meta: Mapping[str, Any]) -> list[tuple[str, str | int | float]]:

@@ -43,7 +43,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_envs.bus.scenario.description import by_day_type, by_line, by_stop, meta_rows, readable
     from headway_envs.bus.scenario.source import scenario_tables
     from headway_envs.bus.scenario.tables import DAY_TYPES
-    from headway_launch.console.tables import print_table
+    from headway_launch.console.tables import print_table, without_empty
 
     tables = scenario_tables(arguments.scenario, arguments.seed)
     with CountedProgress("day types described", len(DAY_TYPES)) as progress:
@@ -70,12 +70,9 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.stops:
         stops = by_stop(tables, chosen)
         print()
+        columns = ("stop", "name", "lines", "boardings")
         print_table(
-            ("stop", "name", "lines", "boardings"),
-            [
-                (stop, name, lines, round(boardings, 1))
-                for stop, name, lines, boardings in stops[: arguments.stops]
-            ],
+            *without_empty(columns, stops[: arguments.stops], ("name",)),
             title=f"{min(arguments.stops, len(stops))} of {len(stops)} stops, {chosen}",
         )
     return 0

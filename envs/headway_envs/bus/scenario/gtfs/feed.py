@@ -163,7 +163,8 @@ def numbers(file: str, column: str, texts: "pd.Series[str]") -> Floats:
 def _locate_files(feed: Path, files: Iterable[str]) -> dict[str, str]:
     """Return the path of each known file, in any folder of the feed.
 
-    Raises HeadwayError if a file occurs twice, because the identifiers of two feeds would clash.
+    Raises HeadwayError if a required file is missing, and if a file occurs twice, because the identifiers of
+    two feeds would clash.
     """
     found: dict[str, str] = {}
     for file in sorted(files):
@@ -175,6 +176,9 @@ def _locate_files(feed: Path, files: Iterable[str]) -> dict[str, str]:
                 f"{feed} holds {found[name]} and {file}; keep a single feed there and in its folders"
             )
         found[name] = file
+    for name in REQUIRED:
+        if name not in found:
+            raise HeadwayError(f"{feed} has no {name}.txt; a timetable cannot be read without it")
     return found
 
 
@@ -185,8 +189,6 @@ def _read_frame(name: str, content: bytes | None) -> pd.DataFrame:
     """
     needed, wanted = REQUIRED.get(name, ()), (*REQUIRED.get(name, ()), *_OPTIONAL.get(name, ()))
     if content is None:
-        if needed:
-            raise HeadwayError(f"there is no {name}.txt; a timetable cannot be read without it")
         return pd.DataFrame({column: pd.Series(dtype="str") for column in wanted})
     encoding = _encoding(content)
     header = content.split(b"\n", 1)[0].decode(encoding).lstrip("\ufeff")

@@ -254,7 +254,7 @@ def test_passengers_arrive_when_buses_run(write_feed: FeedWriter) -> None:
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"stop_times": None}, "there is no stop_times.txt"),
+        ({"stop_times": None}, "has no stop_times.txt"),
         ({"calendar": None}, "neither calendar.txt nor calendar_dates.txt"),
         ({"trips": "route_id,service_id\nr1,work\n"}, "trips.txt has no column trip_id"),
         ({"stops": STOPS}, "stops.txt has no rows"),
