@@ -19,6 +19,10 @@ RULES: dict[str, RuleEntry] = {
         "drives every CAV as a human driver: IDM, MOBIL, and its initial speed as the desired speed",
         Lazy("headway_envs.merge.rules:IdmMobil"),
     ),
+    "idm_mobil_actions": RuleEntry(
+        "takes the action closest to what IDM and MOBIL would do; policies can start from it",
+        Lazy("headway_envs.merge.rules:HumanActions"),
+    ),
     "random": RANDOM,
 }
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, Observations
 from headway_envs.merge.env import MergeBatchedEnv
+from headway_envs.merge.kernel.drivers import write_human_actions
 from headway_envs.merge.kernel.layout import AS_HUMAN, IDLE, LEFT
 
 if TYPE_CHECKING:
@@ -27,6 +28,23 @@ class AlwaysLeft:
 
 
 @dataclass(frozen=True)
+class HumanActions:
+    """Take, of the five actions, the one closest to what a human driver would do (`write_human_actions`)."""
+
+    prepared: "Prepared"
+
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.int64]:
+        """Return the actions (C, N); `IDLE` for those that the mask forbids and for empty slots."""
+        actions = np.full(observed.alive.shape, IDLE, np.int64)
+        merge = _merge(env, "idm_mobil_actions")
+        write_human_actions(merge.network, merge.settings, merge.world, actions)
+        if observed.action_masks is None:
+            return actions
+        allowed = np.take_along_axis(observed.action_masks, actions[..., None], -1)[..., 0]
+        return np.where(allowed, actions, IDLE)
+
+
+@dataclass(frozen=True)
 class IdmMobil:
     """Drive every CAV as a human driver: IDM, MOBIL, and its initial speed as the desired speed."""
 
@@ -37,6 +55,11 @@ class IdmMobil:
 
         It is needed because the actions include no accelerations.
         """
-        if not isinstance(env, MergeBatchedEnv):
-            raise TypeError(f"idm_mobil needs a MergeBatchedEnv, not {type(env).__name__}")
+        _merge(env, "idm_mobil")
         return np.full(observed.alive.shape, AS_HUMAN, np.int64)
+
+
+def _merge(env: BatchedEnv, rule: str) -> MergeBatchedEnv:
+    if not isinstance(env, MergeBatchedEnv):
+        raise TypeError(f"{rule} needs a MergeBatchedEnv, not {type(env).__name__}")
+    return env

@@ -7,7 +7,7 @@ from played import assert_allowed, first_episodes, repeated
 
 from headway_envs.merge.entry import ENTRIES, RULES
 from headway_envs.merge.env import MergeBatchedEnv
-from headway_envs.merge.kernel.layout import AS_HUMAN, IDLE
+from headway_envs.merge.kernel.layout import AS_HUMAN, IDLE, SPEED_STEP
 
 
 def _metrics(env: MergeBatchedEnv, rule_name: str) -> dict[str, np.ndarray]:
@@ -29,6 +29,22 @@ def test_rules_act_within_the_masks(name: str, rule: str) -> None:
         _, observed = env.step(actions)
 
 
+def test_the_closest_actions_follow_human_drivers_and_leave_the_state_alone() -> None:
+    """As long as no vehicle brakes below 10 m/s, speeds are those of human drivers up to a step of target speeds."""
+    human, discrete = (make(copies=50, density=1) for _ in range(2))
+    rules = [RULES[name].make(human.prepared) for name in ("idm_mobil", "idm_mobil_actions")]
+    for _ in range(10):
+        before = discrete.world.cars.copy()
+        actions = rules[1].act(discrete, discrete.observed())
+        assert (discrete.world.cars == before).all()
+        discrete.step(actions)
+        human.step(rules[0].act(human, human.observed()))
+    cavs = human.observed().alive
+    speeds = [env.world.cars["speed"][:, : cavs.shape[1]][cavs] for env in (human, discrete)]
+    assert np.abs(speeds[0] - speeds[1]).max() < SPEED_STEP
+    assert np.corrcoef(*speeds)[0, 1] > 0.5
+
+
 @pytest.mark.parametrize("name", ENTRIES)
 def test_the_rules_differ(name: str) -> None:
     """Idle CAVs always hit the end of the ramp; those driven as humans hardly ever crash, and earn most."""
@@ -38,7 +54,10 @@ def test_the_rules_differ(name: str) -> None:
     assert metrics["idm_mobil"]["crash_rate"].mean() < 0.1
     assert 0.2 < metrics["always_left"]["crash_rate"].mean() < 0.6
     assert metrics["always_left"]["ramp_merge_rate"].mean() > 0.4
+    # With five actions a vehicle cannot brake below 10 m/s, and hits the end of the ramp more often.
+    assert 0.1 < metrics["idm_mobil_actions"]["crash_rate"].mean() < 0.5
     means = {rule: metrics[rule]["reward"].mean() for rule in RULES}
+    assert means["idm_mobil_actions"] > means["always_left"]
     assert max(means, key=lambda rule: means[rule]) == "idm_mobil"
     for values in metrics.values():
         assert ((values["merge_rate"] >= 0) & (values["merge_rate"] <= 1)).all()

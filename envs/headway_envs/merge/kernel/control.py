@@ -22,6 +22,7 @@ from headway_envs.merge.kernel.layout import (
     CAR_LENGTH,
     FASTER,
     FASTEST_INDEX,
+    IDLE,
     LEFT,
     MIN_TARGET_SPEED,
     RIGHT,
@@ -72,12 +73,30 @@ def advance_target_lane(lanes: NDArray[np.void], car: Record) -> None:
 
 
 @compiled
+def _target_speed(car: Record, action: int) -> float:
+    """Return the target speed of a CAV after `FASTER` or `SLOWER`."""
+    index = speed_index(car.speed) + (1 if action == FASTER else -1)
+    return float(MIN_TARGET_SPEED + SPEED_STEP * min(max(index, 0), FASTEST_INDEX))
+
+
+@compiled
+def closest_speed_action(car: Record, speed: float) -> int:
+    """Return the action, `IDLE`, `FASTER` or `SLOWER`, whose target speed is closest to `speed`; ties: the
+    first of them."""
+    best, least = IDLE, abs(car.target_speed - speed)
+    for action in (FASTER, SLOWER):
+        distance = abs(_target_speed(car, action) - speed)
+        if distance < least:
+            best, least = action, distance
+    return best
+
+
+@compiled
 def apply_action(net: Network, k: Record, car: Record, action: int) -> None:
     """Change the target lane or speed of a CAV by an action."""
     advance_target_lane(net.lanes, car)
     if action in (FASTER, SLOWER):
-        index = speed_index(car.speed) + (1 if action == FASTER else -1)
-        car.target_speed = MIN_TARGET_SPEED + SPEED_STEP * min(max(index, 0), FASTEST_INDEX)
+        car.target_speed = _target_speed(car, action)
     elif action in (LEFT, RIGHT):
         other = side_lane(net, k, car.target_lane, -1 if action == LEFT else 1)
         if other >= 0 and can_change_to(net.lanes[other], car.x, car.y):

@@ -5,14 +5,15 @@ Sources: Treiber, Hennecke and Helbing 2000 (doi 10.1103/PhysRevE.62.1805); Kest
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway_envs.merge.kernel.compiled import compiled, compiled_apart
-from headway_envs.merge.kernel.control import advance_target_lane, steer
+from headway_envs.merge.kernel.control import advance_target_lane, closest_speed_action, steer
 from headway_envs.merge.kernel.lanes import can_change_to, is_on, not_zero, side_lane
-from headway_envs.merge.kernel.layout import Network, Record
+from headway_envs.merge.kernel.layout import LEFT, RIGHT, Network, Record, World
 
 _MAX_ACCELERATION, _COMFORT, _BRAKING = 6.0, 3.0, 5.0
 _STANDING_GAP, _TIME_GAP_S = 10.0, 1.5
@@ -119,19 +120,28 @@ def _consider_lane_change(
 
 
 @compiled
-def follow_target_lane(
-    net: Network, k: Record, cars: NDArray[np.void], moving: int, bodies: int, ego: int, controlled: Record
-) -> None:
-    """Write the steering and acceleration of a human driver that follows its target lane to `controlled`."""
+def _following_acceleration(
+    net: Network, k: Record, cars: NDArray[np.void], moving: int, bodies: int, ego: int
+) -> float:
+    """Return the acceleration of a human driver behind the vehicles ahead, m/s2."""
     car = cars[ego]
-    steering = steer(k, net.lanes[car.target_lane], car)
     ahead, _ = neighbours(net, cars, bodies, ego, car.lane)
     acceleration = desired_acceleration(cars, moving, ego, ahead)
     if k.follow_both_lanes and car.lane != car.target_lane:
         ahead, _ = neighbours(net, cars, bodies, ego, car.target_lane)
         acceleration = min(acceleration, desired_acceleration(cars, moving, ego, ahead))
+    return float(min(max(acceleration, -_MAX_ACCELERATION), _MAX_ACCELERATION))
+
+
+@compiled
+def follow_target_lane(
+    net: Network, k: Record, cars: NDArray[np.void], moving: int, bodies: int, ego: int, controlled: Record
+) -> None:
+    """Write the steering and acceleration of a human driver that follows its target lane to `controlled`."""
+    steering = steer(k, net.lanes[cars[ego].target_lane], cars[ego])
+    acceleration = _following_acceleration(net, k, cars, moving, bodies, ego)
     controlled.steering = steering
-    controlled.acceleration = min(max(acceleration, -_MAX_ACCELERATION), _MAX_ACCELERATION)
+    controlled.acceleration = acceleration
 
 
 @compiled_apart
@@ -142,3 +152,40 @@ def drive_human(net: Network, k: Record, cars: NDArray[np.void], moving: int, bo
     advance_target_lane(net.lanes, cars[ego])
     _consider_lane_change(net, k, cars, moving, bodies, ego)
     follow_target_lane(net, k, cars, moving, bodies, ego, cars[ego])
+
+
+@compiled
+def _human_change(net: Network, k: Record, cars: NDArray[np.void], moving: int, bodies: int, ego: int) -> int:
+    """Return the change of lane, `LEFT` or `RIGHT`, that a human driver would begin; -1: none."""
+    car = cars[ego]
+    if car.lane != car.target_lane or abs(car.speed) < k.min_change_speed:
+        return -1
+    for side in (-1, 1):
+        lane = side_lane(net, k, car.lane, side)
+        if lane < 0 or not can_change_to(net.lanes[lane], car.x, car.y):
+            continue
+        if _accepts_change(net, k, cars, moving, bodies, ego, lane):
+            return LEFT if side < 0 else RIGHT
+    return -1
+
+
+@compiled_apart
+def write_human_actions(
+    net: Network, settings: NDArray[Any], world: World, actions: NDArray[np.int64]
+) -> None:
+    """Write, of each CAV, the action (C, N) that is closest to what a human driver would do.
+
+    A change of lane that MOBIL accepts, otherwise the target speed closest to that of IDM in one second.
+    """
+    k = settings[0]
+    for c in range(actions.shape[0]):
+        cars, moving = world.cars[c], world.episodes[c].cars
+        bodies = moving + net.obstacles.shape[0]
+        for n in range(world.episodes[c].cavs):
+            car = cars[n]
+            target_speed = car.target_speed
+            car.target_speed = car.desired_speed  # as IDM and MOBIL read it
+            change = _human_change(net, k, cars, moving, bodies, n)
+            acceleration = _following_acceleration(net, k, cars, moving, bodies, n)
+            car.target_speed = target_speed
+            actions[c, n] = closest_speed_action(car, car.speed + acceleration) if change < 0 else change
