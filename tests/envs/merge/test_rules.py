@@ -30,7 +30,7 @@ def test_rules_act_within_the_masks(name: str, rule: str) -> None:
 
 
 def test_the_closest_actions_follow_human_drivers_and_leave_the_state_alone() -> None:
-    """As long as no vehicle brakes below 10 m/s, speeds are those of human drivers up to a step of target speeds."""
+    """As long as no vehicle brakes below 10 m/s, speeds differ by less than a step of target speeds."""
     human, discrete = (make(copies=50, density=1) for _ in range(2))
     rules = [RULES[name].make(human.prepared) for name in ("idm_mobil", "idm_mobil_actions")]
     for _ in range(10):
