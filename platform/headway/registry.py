@@ -16,6 +16,7 @@ from headway.contracts.entries import AlgoEntry, EnvEntry, RuleEntry
 from headway.contracts.errors import HeadwayError, one_line
 from headway.contracts.random_rule import RANDOM
 from headway.contracts.wrapper import WrapperEntry
+from headway.rollout.checked_rule import CheckedRule
 from headway.rollout.lookahead import LOOKAHEAD, SAMPLES, STEPS, Lookahead, is_lookahead
 
 Entry = TypeVar("Entry", EnvEntry, AlgoEntry, WrapperEntry)
@@ -111,7 +112,8 @@ def rule_entry(env: EnvEntry, name: str) -> RuleEntry:
     """
     if not is_lookahead(name):
         if name in env.rules:
-            return env.rules[name]
+            own = env.rules[name]
+            return own if own.internal else replace(own, make=lambda data: CheckedRule(name, own.make(data)))
         raise HeadwayError(f"unknown rule {name!r}; {suggestion(name, rule_names(env))}")
     if env.lookahead is None:
         raise HeadwayError(
@@ -129,7 +131,7 @@ def rule_entry(env: EnvEntry, name: str) -> RuleEntry:
     bases = {rule: entry for rule, entry in env.rules.items() if entry is not RANDOM}
     if base not in bases:
         raise HeadwayError(f"{name}: {base!r} is not a rule to improve on; {suggestion(base, bases)}")
-    own = bases[base]
+    own = rule_entry(env, base)
     steps, samples = [*map(int, numbers), *(STEPS, SAMPLES)[len(numbers) :]]
     return RuleEntry(
         f"reference for the possible gain: tries actions in {samples} simulations of {steps} steps of {base}",

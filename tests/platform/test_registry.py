@@ -41,7 +41,7 @@ def test_lookahead_is_a_rule_but_none_that_is_played_by_default() -> None:
     assert "lookahead" not in bus.rules
     assert rule_names(bus)[-1] == "lookahead"
     assert "lookahead" not in rule_names(tracking)
-    assert rule_entry(bus, "even_headway") is bus.rules["even_headway"]
+    assert rule_entry(bus, "even_headway").summary == bus.rules["even_headway"].summary
     assert rule_entry(bus, "lookahead").summary == rule_entry(bus, "lookahead:even_headway:30:8").summary
     assert "in 8 simulations of 5 steps of always_move" in rule_entry(bus, "lookahead:always_move:5").summary
 

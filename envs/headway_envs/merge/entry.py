@@ -18,6 +18,7 @@ RULES: dict[str, RuleEntry] = {
     "idm_mobil": RuleEntry(
         "drives every CAV as a human driver: IDM, MOBIL, and its initial speed as the desired speed",
         Lazy("headway_envs.merge.rules:IdmMobil"),
+        internal=True,
     ),
     "idm_mobil_actions": RuleEntry(
         "takes the action closest to what IDM and MOBIL would do; policies can start from it",

@@ -418,7 +418,7 @@ def _require_known_rule(values: Mapping[str, Any]) -> None:
 def require_rule(name: str, env_id: str, entry: EnvEntry) -> None:
     """Raise HeadwayError if training cannot start from the rule `name` of an environment."""
     # The draws of `random` are no part of an environment's snapshots, so that a resumed run would differ.
-    rules = [rule for rule, each in entry.rules.items() if each is not RANDOM]
+    rules = [rule for rule, each in entry.rules.items() if each is not RANDOM and not each.internal]
     if not rules:
         raise HeadwayError(f"start.rule: {env_id} has no rule to start from; leave it out")
     if name not in rules:

@@ -9,6 +9,7 @@ from headway.config.schema import plain
 from headway.contracts.acting_policy import ActingPolicy
 from headway.contracts.entries import Rule
 from headway.contracts.errors import HeadwayError
+from headway.registry import rule_entry
 from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import CHECKPOINTS, RunRecord, find_run
 from headway.store.run_plan import RunPlan
@@ -32,7 +33,7 @@ def start_rule(experiment: Experiment, environment: PreparedEnv) -> Rule | None:
     require_rule(name, env_id, experiment.training_env)
     _require_start(experiment, "start.rule")
     try:
-        return experiment.training_env.rules[name].make(environment.training)
+        return rule_entry(experiment.training_env, name).make(environment.training)
     except HeadwayError as error:  # wrappers hide its inputs
         raise HeadwayError(f"start.rule: {error}") from error
 

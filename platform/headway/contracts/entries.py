@@ -53,6 +53,9 @@ class RuleEntry:
     """One line for `headway list rules`: what the rule does, and its source if it has one."""
     make: Callable[[Any], Rule]
     """(prepared) -> rule, where `prepared` is the result of `EnvEntry.prepare`."""
+    internal: bool = False
+    """Its actions are not those of the action space but others that the environment's `step` knows; no policy
+    can imitate it. The actions of other rules are checked in every step."""
 
 
 class Renderer(Protocol):
