@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from headway.adapters.env_file import is_file_id
 from headway.config.experiment import ExperimentConfig
 from headway.contracts.errors import HeadwayError
 from headway.rollout.workers.usage import usable_cores
@@ -213,10 +214,19 @@ class Runner:
                 else f"--study {study}"
             )
             waiting = f"{counted(not_started, 'run')} not started; " if not_started else ""
-            failed = any(result.status == "FAILED" for result in results)
+            failed = [
+                cell.experiment.config.env.id
+                for cell in self._cells
+                if any(result.status == "FAILED" for result in cell.results.values())
+            ]
             when = "to continue, once the cause of the failure is fixed" if failed else "to continue"
             if results and not failed and not any(result.record.durable_iteration for result in results):
                 when = "nothing was kept: no checkpoint was written yet; to start again"
+            if files := sorted({Path(env).name for env in failed if is_file_id(env)}):
+                when = (
+                    f"fix {' and '.join(files)}, then give the first command again (a changed file is not "
+                    "resumed); if the cause lies elsewhere"
+                )
             print_line(f"headway: {waiting}{when}: {own_name()} resume {named}{option}")
 
 

@@ -35,6 +35,14 @@ TINY = (
     "env=trivial", "algo=ippo", *SMALL, "env.args.agents=2", "env.args.steps=20", "rollout.steps=32",
     "evaluation.every=1000000",
 )  # fmt: skip
+ENV_FILE = """
+from headway_envs.toy.trivial_parallel import TrivialParallel
+from headway_envs.toy.trivial import TrivialConfig
+
+
+def parallel_env(agents: int = 2, steps: int = 20):
+    return TrivialParallel(TrivialConfig(agents=agents, steps=steps))
+"""
 LONG = ("env_steps=1e8",)
 PATIENCE_S = 180.0
 BEGUN = "(training| left)"
@@ -189,6 +197,24 @@ def test_a_lost_training_process_prints_one_line_and_the_others_continue(
 
 def _training_job(*_: object) -> NoReturn:
     raise HeadwayError("the scenario is gone")
+
+
+def test_a_failed_environment_in_a_file_is_fixed_and_trained_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Resuming would refuse the changed file."""
+
+    def training_job(*_: object) -> NoReturn:
+        raise HeadwayError("environment ring returned nan as reward")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(SessionCell, "training_job", training_job)
+    (tmp_path / "ring.py").write_text(ENV_FILE)
+    lines = failed("run", *TINY, "env=./ring.py", "seed=3", "env_steps=256", "backend=serial").splitlines()
+    assert lines[-1].startswith(
+        "headway: fix ring.py, then give the first command again (a changed file is not resumed); if the "
+        "cause lies elsewhere: headway resume ring-"
+    )
 
 
 def test_the_error_of_a_failed_run_is_printed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
