@@ -82,7 +82,8 @@ def provenance_section(data: StudyData) -> Section:
         "Each command line below repeats the training of one cell's seeds. It sets every key that differs "
         "from this version's defaults, except keys that do not affect results: where runs are stored "
         "(`store`) and how they are distributed over processes (`backend`, apart from `backend.stack`). "
-        "`evaluation.rules` appears only if some rules of the environment were not run. The full "
+        "`evaluation.rules` appears only if some rules of the environment were not run. For an environment "
+        "in a file it names the configuration in `configs/`, a folder of this report. The full "
         "configuration, with every default spelt out but without `store.root`, comes after it. On a CPU, the "
         "same configuration and seed reproduce the curve bit for bit with the versions listed here"
         + _determinism_exception(data)
@@ -91,11 +92,15 @@ def provenance_section(data: StudyData) -> Section:
         first = configuration(members[0].directory)
         seeds = ",".join(str(seed) for seed in sorted({row.seed for row in members}))
         title = controller if len(data.tasks) == 1 else f"{controller}, {task}"
-        body.append(Listing(f"{title}: command line", _wrapped(_line_of(first, seeds)), unfolded=True))
+        body.append(
+            Listing(
+                f"{title}: command line", _wrapped(_line_of(first, seeds, members[0].cell)), unfolded=True
+            )
+        )
         stored = {key: value for key, value in first.get("store", {}).items() if key != "root"}
         whole = {**first, "seed": [row.seed for row in members], "store": stored}
         text = yaml.safe_dump(whole, sort_keys=False)
-        body.append(Listing(f"{title}: configuration", text, f"configs/{members[0].cell}.yaml"))
+        body.append(Listing(f"{title}: configuration", text, _file(members[0].cell)))
     made = data.runs.provenance()
     tags = [name for name in made.columns if "." in name]
     rows = [[str(name), _values(made[name])] for name in tags]
@@ -117,14 +122,19 @@ def provenance_section(data: StudyData) -> Section:
 
 def _line(run: RunRow) -> str:
     try:
-        return _line_of(configuration(run.directory), str(run.seed))
+        return _line_of(configuration(run.directory), str(run.seed), run.cell)
     except HeadwayError as error:  # incomplete run folder
         return f"# {run.run_id}: {error}"
 
 
-def _line_of(mapping: Mapping[str, Any], seeds: str) -> str:
+def _file(cell: str) -> str:
+    """Return the path, in the report's folder, of a cell's configuration."""
+    return f"configs/{cell}.yaml"
+
+
+def _line_of(mapping: Mapping[str, Any], seeds: str, cell: str) -> str:
     try:
-        return reproducing_line(mapping, seeds)
+        return reproducing_line(mapping, seeds, _file(cell))
     except HeadwayError as error:
         return f"# cannot be repeated with this version and the installed packages: {error}"
 

@@ -21,18 +21,16 @@ _NO_EFFECT = ("store.", "seed", "preset", "candidate", *(f"backend.{key}" for ke
 """Keys without effect on results: storage, distribution over processes, and origin of settings."""
 
 
-def reproducing_line(mapping: Mapping[str, Any], seeds: str) -> str:
+def reproducing_line(mapping: Mapping[str, Any], seeds: str, file: str) -> str:
     """Return `headway run ...` with every key that differs from today's defaults and preset.
 
-    `seeds`: as on the command line. Raises HeadwayError if this version cannot compose the configuration, for
-    instance because an environment is not installed, and for an environment in a file.
+    `seeds`: as on the command line. `file`: the configuration as a file, named for an environment that is in
+    a file, whose code is run only to train and to evaluate. Raises HeadwayError if this version cannot
+    compose the configuration, for instance because an environment is not installed.
     """
     env = mapping.get("env")
     if isinstance(env, Mapping) and is_file_id(str(env.get("id"))):
-        raise HeadwayError(
-            "its environment is in a file, whose code is run only to train and to evaluate; train the "
-            f"config.yaml of one of its runs with seed={seeds}"
-        )
+        return f"headway run {file} seed={seeds}"
     preset = mapping.get("preset") or NO_PRESET
     return f"{_line_without_seeds(json.dumps(_changing_results(mapping)), preset)} seed={seeds}"
 

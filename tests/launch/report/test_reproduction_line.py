@@ -27,7 +27,7 @@ from headway_launch.report.reproduction_line import reproducing_line
 )
 def test_lines_compose_what_was_run(overrides: Sequence[str]) -> None:
     stored = full_mapping(compose([*overrides, "seed=3,4", "store.root=elsewhere"]), [3])
-    program, command, *words = shlex.split(reproducing_line(stored, "3"))
+    program, command, *words = shlex.split(reproducing_line(stored, "3", "ring.yaml"))
     assert (program, command) == ("headway", "run")
     again = full_mapping(compose(words), [3])
     assert again["seed"] == [3]
@@ -40,7 +40,7 @@ def test_lines_compose_what_was_run(overrides: Sequence[str]) -> None:
 
 def test_a_preset_replaces_the_keys_that_it_sets() -> None:
     stored = full_mapping(compose(["experiment=merge_study", "preset=merge_paper", "algo.lr=0.25"]), [3])
-    line = reproducing_line(stored, "3")
+    line = reproducing_line(stored, "3", "ring.yaml")
     assert "preset=merge_paper" in line
     assert "algo.lr=0.25" in line
     assert "algo.gae_lambda" not in line
@@ -58,14 +58,14 @@ def test_a_cell_is_composed_once(preset: str, monkeypatch: pytest.MonkeyPatch) -
         return compose(overrides)
 
     monkeypatch.setattr("headway_launch.report.reproduction_line.compose", counted)
-    lines = [reproducing_line(cell, seed) for cell in cells for seed in ("3", "4")]
+    lines = [reproducing_line(cell, seed, "ring.yaml") for cell in cells for seed in ("3", "4")]
     assert len(set(lines)) == 6
     assert len(composed) <= 1 + len(cells)
 
 
 def test_of_a_preset_that_is_gone_all_it_brought_is_written() -> None:
     stored = full_mapping(compose(["experiment=merge_study", "preset=merge_paper"]), [3])
-    line = reproducing_line({**stored, "preset": "gone"}, "3")
+    line = reproducing_line({**stored, "preset": "gone"}, "3", "ring.yaml")
     assert "preset" not in line
     assert "algo.gae_lambda=1.0" in line
 
@@ -73,6 +73,11 @@ def test_of_a_preset_that_is_gone_all_it_brought_is_written() -> None:
 def test_a_preset_of_which_something_cannot_be_taken_back_is_left_out() -> None:
     stored = full_mapping(compose(["experiment=merge_study", "preset=merge_tuned"]), [3])
     stored["env"]["training_args"] = {}
-    words = shlex.split(reproducing_line(stored, "3"))[2:]
+    words = shlex.split(reproducing_line(stored, "3", "ring.yaml"))[2:]
     assert not any(word.startswith("preset=") for word in words)
     assert full_mapping(compose(words), [3])["env"] == stored["env"]
+
+
+def test_an_environment_in_a_file_is_trained_from_the_configuration() -> None:
+    mapping = {"env": {"id": "/home/me/ring.py"}, "algo": {"name": "mappo"}}
+    assert reproducing_line(mapping, "0,1", "configs/ring.yaml") == "headway run configs/ring.yaml seed=0,1"
