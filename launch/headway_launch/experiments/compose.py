@@ -13,6 +13,7 @@ from headway.adapters.env_file import EnvFile, absolute_id, is_file_id
 from headway.algorithms import chosen_algo
 from headway.config.experiment import NO_PRESET, EnvConfig, ExperimentConfig
 from headway.config.schema import (
+    ALIASES,
     build,
     describe,
     nearest,
@@ -484,7 +485,10 @@ def _require_known_key(key: str, value: str, overrides: Sequence[str]) -> None:
     names = {field.name for field in fields(ExperimentConfig)} | {"experiment", "preset"}
     if head in names or head == "hydra":
         return
-    if full_keys := _keys_ending_in(key, [other for other in overrides if _first_part(other) in names]):
+    ours = ALIASES.get(key, key)
+    known = [other for other in overrides if _first_part(other) in names]
+    own = [ours] if ours in names else []
+    if full_keys := [*own, *_keys_ending_in(key if own else ours, known)]:
         raise UnknownKeyError(key, _EXPERIMENT, f"did you mean {' or '.join(full_keys)}={value}?")
     if not rest and nearest(head, names) in ("experiment", "preset"):
         near = f"did you mean {nearest(head, names)}={value}? Available: {', '.join(sorted(names))}"

@@ -25,6 +25,8 @@ _NEGATIVE = re.compile(r"\s*\[?\s*-\d+\s*(\]|\.\.|,|$)")
 _MAX_NAMES, _NEAREST_NAMES = 30, 8
 """In messages, lists of more than `_MAX_NAMES` names are shortened to the `_NEAREST_NAMES` nearest, to fit on
 a line."""
+ALIASES = {"discount": "gamma", "learning_rate": "lr", "steps": "env_steps", "total_timesteps": "env_steps"}
+"""Keys of other libraries and what they are called here, for suggestions."""
 _MIN_PREFIX = 3
 """Length from which the beginning of a name is matched as an abbreviation."""
 _MAX_INT = 2**63 - 1
@@ -37,10 +39,13 @@ _SEED_FORMS = "write 7, 0,1,2, [0,1], 0..49 or range(0,50)"
 def nearest(name: str, names: Iterable[str], cutoff: float = 0.5) -> str | None:
     """Return the one of `names` that `name` probably meant, or None.
 
-    Case is ignored. An abbreviation of at least three letters matches the shortest name that starts with it;
-    otherwise the closest name by edit similarity matches, if that is at least `cutoff`.
+    Case is ignored. A key of another library matches ours (`ALIASES`). An abbreviation of at least three
+    letters matches the shortest name that starts with it; otherwise the closest name by edit similarity
+    matches, if that is at least `cutoff`.
     """
     by_lower = {candidate.lower(): candidate for candidate in names}
+    if (ours := ALIASES.get(name.lower())) in by_lower:
+        return ours
     completions = [known for known in by_lower if known.startswith(name.lower())]
     if len(name) >= _MIN_PREFIX and completions:
         return by_lower[min(completions, key=len)]

@@ -82,7 +82,9 @@ def test_an_algorithm_brings_the_rollout_that_files_and_options_override(
     [
         ("reward.scope=own", "env.args.reward.scope=own"),
         ("gae_lambda=0.9", "algo.gae_lambda=0.9"),
-        ("steps=50", "rollout.steps or env.args.steps=50"),
+        ("steps=50", "env_steps or rollout.steps or env.args.steps=50"),
+        ("total_timesteps=50", "env_steps=50"),
+        ("learning_rate=1e-3", "algo.lr=1e-3"),
     ],
 )
 def test_a_key_without_its_first_parts_is_completed(override: str, meant: str) -> None:
@@ -143,6 +145,8 @@ def test_a_value_from_a_file_can_be_removed() -> None:
     ("override", "parts"),
     [
         ("algo.lrr=3e-4", ["algo.lrr is not a key of mappo", "did you mean algo.lr?"]),
+        ("algo.learning_rate=3e-4", ["did you mean algo.lr?"]),
+        ("algo.discount=0.9", ["did you mean algo.gamma?"]),
         ("algo.cg_damping=1", ["cg_damping is not a key of mappo; it is one of hatrpo, itrpo and matrpo"]),
         ("algo.kfac_every=2", ["kfac_every is not a key of mappo; it is one of algo.critic_update=kfac"]),
         ("algo.double=true", ["algo.double is not a key of mappo; it is one of madqn"]),
