@@ -148,6 +148,10 @@ class ModuleRenderer:
         shown.unwrapped.render_mode = "rgb_array"
         try:
             picture = np.asarray(shown.render())
+        except NotImplementedError:  # PettingZoo's own method
+            raise HeadwayError(
+                f"{self._module} cannot be rendered: write a method render() that returns an RGB picture"
+            ) from None
         except Exception as error:  # the environment's own code
             raise HeadwayError(f"{self._module} cannot be rendered: {one_line(error)}") from error
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:

@@ -263,3 +263,6 @@ def test_a_module_environment_is_rendered_by_its_own_pictures(empty_folder: Path
         with Image.open("moment.png") as picture:
             assert picture.getpixel((5, 5)) == (shade,) * 3
     assert "must return an RGB picture" in refused(*words, "env.args.mode=human")
+    Path("bare.py").write_text(_PAINTED.replace("def render", "def paint"))
+    line = refused("render", "./bare.py", "--rule", "random", "env.shared_reward=false")
+    assert line.endswith("bare.py cannot be rendered: write a method render() that returns an RGB picture\n")
