@@ -15,7 +15,7 @@ from headway.contracts.lazy import lazy_attributes
 if TYPE_CHECKING:
     from headway.adapters.conformance import CHECKS, play
     from headway.adapters.parallel_entry import parallel_entry
-    from headway.adapters.pettingzoo import AdapterOptions
+    from headway.adapters.pettingzoo import AdapterOptions, episode_seed
     from headway.policies.files import load_policy
     from headway.policies.policy import Policy
     from headway.stats import frames, plots
@@ -28,6 +28,7 @@ _LOADED_LATER = {
     "ChangedObservations": "headway.wrappers.observations:ChangedObservations",
     "Policy": "headway.policies.policy:Policy",
     "RunSelection": "headway.store.query:RunSelection",
+    "episode_seed": "headway.adapters.pettingzoo:episode_seed",
     "frames": "headway.stats.frames",
     "load_policy": "headway.policies.files:load_policy",
     "parallel_entry": "headway.adapters.parallel_entry:parallel_entry",
@@ -41,6 +42,7 @@ __all__ = [
     "ChangedObservations",
     "Policy",
     "RunSelection",
+    "episode_seed",
     "frames",
     "load_policy",
     "parallel_entry",

@@ -86,8 +86,11 @@ class ParallelEnv(Protocol):
     def unwrapped(self) -> Any: ...  # noqa: ANN401 - PettingZoo comes without types
 
 
-def episode_seed(copy_seed: int, episode: int) -> int:
-    """Return the seed for the environment's `reset`: 31 bits, which every library accepts."""
+def episode_seed(copy_seed: int, episode: int = 0) -> int:
+    """Return the seed with which an episode of a copy resets a PettingZoo or Gymnasium environment: 31 bits.
+
+    `copy_seed`: a seed as in `BatchedEnv.reset`, such as one of `child_seeds`.
+    """
     return int(child_seeds(copy_seed, "episode", episode, 1)[0]) & 0x7FFFFFFF
 
 

@@ -12,9 +12,11 @@ from shuttle import SHUTTLE
 
 from headway.adapters.env_file import EnvFile, absolute_id
 from headway.adapters.modules import module_entry
+from headway.api import RANDOM, child_seeds, episode_seed
 from headway.config.schema import build, describe
 from headway.contracts import BatchedEnv, HeadwayError
 from headway.contracts.errors import EnvironmentRaisedError
+from headway.rollout.episodes import evaluate_rule
 
 ROUNDS = """
 from mpe2 import simple_spread_v3
@@ -105,6 +107,23 @@ def test_an_edited_file_is_read_again_and_said_to_have_changed(tmp_path: Path) -
     assert first_rewards(one_copy(path)) == [3.0, 6.0]
     [line] = notices()
     assert line.startswith(f"{path} has changed since the run was started")
+
+
+def test_an_evaluation_episode_can_be_replayed_without_headway(tmp_path: Path) -> None:
+    """By the seeds that docs/howto/policies.md names."""
+    drawn = SHUTTLE.replace("self.time, ", "self.fare, self.time, ").replace(
+        "= 0, list", "= seed % 997, 0, list"
+    )
+    path = written(tmp_path, drawn)
+    entry = module_entry(path)
+    rows = evaluate_rule(entry.make, RANDOM.make, entry.prepare(entry.config()), 1_000_003, 2)
+    env, returns = EnvFile.read(path).load().Shuttle(), []
+    for seed in child_seeds(1_000_003, "evaluation", 0, 2):
+        env.reset(seed=episode_seed(int(seed)))
+        rewards = [env.step(dict.fromkeys(env.agents, 0))[1] for _ in range(env.steps)]
+        returns.append(sum(sum(each.values()) for each in rewards) / 2)
+    assert [row["return"] for row in rows] == returns
+    assert returns[0] != returns[1]
 
 
 def test_paths_are_made_absolute_and_other_ids_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
