@@ -22,7 +22,7 @@ from headway.config.schema import (
     refuse_targets,
     suggestion,
 )
-from headway.contracts.entries import AlgoEntry, EnvEntry, RuleEntry
+from headway.contracts.entries import AlgoEntry, EnvEntry, RuleEntry, TrainingNotice
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError, UnknownKeyError
 from headway.contracts.random_rule import RANDOM
@@ -145,8 +145,10 @@ class Experiment:
             "stored: restore the file to continue, or train the new version as another cell"
         )
 
-    def prepare(self, known: "dict[str, PreparedEnv] | None" = None) -> PreparedEnv:
-        """Return the prepared environment and print its notices.
+    def prepare(
+        self, known: "dict[str, PreparedEnv] | None" = None, for_training: bool = False
+    ) -> PreparedEnv:
+        """Return the prepared environment and print its notices; those on settings only `for_training`.
 
         `known`: cache of prepared environments for experiments that differ in their algorithm only.
 
@@ -156,7 +158,7 @@ class Experiment:
         cache = {} if known is None else known
         key = self._environment_key
         if key not in cache:
-            cache[key] = self.prepare_environment()
+            cache[key] = self.prepare_environment(for_training)
         if reason := self.algo.refuses(self.algo_config, cache[key].spec):
             raise HeadwayError(f"{self.algo_name} cannot run on {self.config.env.id}: {reason}")
         return cache[key]
@@ -179,7 +181,7 @@ class Experiment:
             ) from error
 
     @prints_to_stderr()
-    def prepare_environment(self) -> PreparedEnv:
+    def prepare_environment(self, for_training: bool = False) -> PreparedEnv:
         """Return the prepared environment like `prepare`, also for an algorithm that cannot run on it: for
         rules, which need none."""
         rules = [self._rule(name) for name in self.rules]
@@ -207,7 +209,8 @@ class Experiment:
         other = [f"a file of env={env_id} is not that of the run's training; results may differ"] * changed
         lines = (*notices_of(prepared), *chain(*map(notices_of, stages)), *large, *other)
         for line in dict.fromkeys(lines):
-            print_line(f"headway: {line}")
+            if for_training or not isinstance(line, TrainingNotice):
+                print_line(f"headway: {line}")
         return PreparedEnv(self.env, prepared, tuple(stages), spec)
 
     def _training_data(self, config: object, prepared: object) -> object:

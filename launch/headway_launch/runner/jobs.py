@@ -131,7 +131,7 @@ def new_jobs(
     environment's file has changed since its digest was stored.
     """
     experiment.require_unchanged_files()
-    environment = experiment.prepare(known)
+    environment = experiment.prepare(known, for_training=True)
     requested, rollout = experiment.config, experiment.config.rollout
     if reason := experiment.algo.refuses_budget(experiment.algo_config, requested.iterations):
         raise HeadwayError(

@@ -17,7 +17,7 @@ from headway.store.session import EPISODES_RESTARTED
 from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.console.progress import duration
-from headway_launch.experiments.compose import resolve
+from headway_launch.experiments.compose import PreparedEnv, resolve
 from headway_launch.experiments.env_args import with_env_keys
 from headway_launch.runner.cores import uses_gpu
 from headway_launch.runner.jobs import CellPlan, PlannedJob, new_jobs
@@ -126,13 +126,15 @@ class Verification:
         """Return the job that trains a run again, alone unless its results may depend on its stack."""
         mapping, seed = self._mapping(run), run.record.seed
         alone = resolve({**mapping, "seed": [seed]})
-        [job] = new_jobs(alone, (seed,))
+        known: dict[str, PreparedEnv] = {}
+        alone.prepare(known)
+        [job] = new_jobs(alone, (seed,), known)
         stack = run.plan.stack
         replays = alone.algo.replay_bytes(alone.algo_config, job.training.spec, 1) > 0
         if len(stack) > 1 and (uses_gpu(job) or replays):
             backend = {**mapping["backend"], "stack": len(stack)}
             together = resolve({**mapping, "seed": list(stack), "backend": backend})
-            [job] = new_jobs(together, stack)
+            [job] = new_jobs(together, stack, known)
         if self._env_steps is None:
             return job
         rollout = job.config.rollout

@@ -29,6 +29,7 @@ from headway.adapters.pettingzoo import NO_OPTIONS, AdapterOptions, ParallelEnvB
 from headway.config.schema import nearest
 from headway.config.signatures import argument_record, as_tuples, takes_any_arguments
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, Observations, RandomRule, RuleEntry
+from headway.contracts.entries import TrainingNotice
 from headway.contracts.errors import one_line
 
 _PROBE_STEPS, _PROBE_SECONDS, _PROBE_OBSERVATIONS = 100, 2.0, 20
@@ -176,10 +177,11 @@ def _prepare(named: ModuleEnv, config: Any) -> ModuleEnv:  # noqa: ANN401 - its 
     played = _play_randomly(module, env, options)
     notices = (*prepared.notices, *played.outside)
     if options.shared_reward is None and played.pays_all_alike:
-        notices += (
+        line = (
             f"all agents of {module} got equal rewards in a few steps of random play: if they always do, set "
-            "env.shared_reward=true, so that a central critic learns the team's return (false: no notice)",
+            "env.shared_reward=true, so that a central critic learns the team's return (false: no notice)"
         )
+        notices += (TrainingNotice(line),)
     env.close()
     return replace(prepared, options=replace(options, groups=groups), notices=notices)
 

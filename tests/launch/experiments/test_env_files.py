@@ -88,6 +88,21 @@ def test_an_error_of_the_file_is_named_with_its_line() -> None:
     assert f"observations drawn at random ({cause})" in output("export", trained.run_id).err
 
 
+def test_a_notice_on_the_rewards_is_printed_before_training_only(empty_folder: Path) -> None:
+    Path("team.py").write_text(SHUTTLE.replace(" * (i + 1)", ""))
+    notice = "got equal rewards in a few steps of random play"
+    assert notice in output("run", "env=./team.py", "algo=ippo", *SMALL).err
+    [stored] = stored_rows()
+    for words in (
+        ("compare", "env=./team.py", "--episodes=2"),
+        ("evaluate", stored.run_id, "--episodes=2"),
+        ("export", stored.run_id),
+        ("archive", "default", "--output=team.zip"),
+        ("verify", "team.zip"),
+    ):
+        assert notice not in output(*words).err
+
+
 @pytest.mark.usefixtures("_file")
 def test_files_in_several_forms_of_overrides() -> None:
     file = str(FILE.resolve())
