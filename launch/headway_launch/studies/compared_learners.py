@@ -37,7 +37,7 @@ class ComparedLearners:
         found = [_cells(root, study, where) for root, study in studies.values()]
         if len(found) > 1:
             found = [
-                {f"{label} ({name})": members for label, members in cells.items()}
+                {f"{name}: {label}": members for label, members in cells.items()}
                 for name, cells in zip(studies, found, strict=True)
             ]
         return cls(" and ".join(studies), next(iter(found[0].values()))[0].experiment, found)

@@ -39,6 +39,8 @@ class CellChoice:
     """All settings by dotted name."""
     candidate: str = ""
     """Name of the search candidate; empty if the cell is not part of a search."""
+    study: str = ""
+    """Name of the study; empty if it does not matter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,9 +52,9 @@ class CellName:
     task: str
     """The environment and those of its arguments that differ between cells: `bus, scenario=corridor`."""
     controller: str
-    """The algorithm and whatever else makes it unique on its task: the preset (`mappo merge_paper`), the
-    search candidate (`mappo: own reward`), the policies (`ippo, shared`) and settings (`ippo,
-    algo.lr=0.001`)."""
+    """The algorithm and whatever else makes it unique on its task: the study, if several have the algorithm
+    (`started: mappo`), the preset (`mappo merge_paper`), the search candidate (`mappo: own reward`), the
+    policies (`ippo, shared`) and settings (`ippo, algo.lr=0.001`)."""
 
 
 def labelled_cells(runs: Iterable[RunRow], beside: Iterable[RunRow] = ()) -> dict[str, list[RunRow]]:
@@ -110,7 +112,17 @@ def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
     tasks = _unique_names(kinds, cells, of_task=True)
     # Controllers are compared within their own task: other tasks may need other settings.
     pairs = {key: (cell.algorithm, tasks[key]) for key, cell in cells.items()}
-    controllers = _unique_names(pairs, cells, of_task=False)
+    # An algorithm that needs its study in the name on one task shows it on all tasks.
+    by_study = {
+        pair[0]
+        for pair, keys in _grouped(pairs, lambda key: pairs[key]).items()
+        if len({cells[key].study for key in keys}) > 1
+    }
+    named = {
+        key: (f"{cells[key].study}: {name}" if name in by_study else name, task)
+        for key, (name, task) in pairs.items()
+    }
+    controllers = _unique_names(named, cells, of_task=False)
     several = len(set(tasks.values())) > 1
     return {
         key: CellName(
@@ -132,7 +144,8 @@ def _choice(runs: Sequence[RunRow]) -> CellChoice:
     preset = next((each.preset for each in runs if each.preset), "")
     policies = {_POLICIES: run.policies} if run.policies else {}
     parameters = {**policies, **hashed_parameters(run.algorithm, record.parameters)}
-    return CellChoice(run.environment, run.algorithm, preset, parameters, record.candidate)
+    studies = " and ".join(sorted({each.study for each in runs}))
+    return CellChoice(run.environment, run.algorithm, preset, parameters, record.candidate, studies)
 
 
 def _unique_names(

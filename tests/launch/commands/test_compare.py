@@ -162,7 +162,7 @@ def test_learners_of_two_stores_are_compared_and_their_best_policies_kept(
     copytree(trained, "runs")
     copytree(trained, "old/runs")
     asked = ("compare", "pair", "old/runs:pair", "--episodes", "3", "--rules", "random", "--best")
-    learners = ["ippo (pair), best policies", "ippo (old/runs:pair), best policies"]
+    learners = ["pair: ippo, best policies", "old/runs:pair: ippo, best policies"]
     rows = json.loads(output(*asked, "--format", "json", "--keep").out)
     assert [row["controller"] for row in rows] == ["rule random", *learners, learners[0]]
     assert rows[1]["mean"] == rows[2]["mean"]

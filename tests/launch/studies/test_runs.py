@@ -106,8 +106,8 @@ def test_configuration_is_read_without_the_c_loader(tmp_path: Path, monkeypatch:
         configuration(str(tmp_path / "broken"))
 
 
-def cell(parameters: Mapping[str, str], preset: str = "", candidate: str = "") -> CellChoice:
-    return CellChoice("bus", "ippo", preset, parameters, candidate)
+def cell(parameters: Mapping[str, str], preset: str = "", candidate: str = "", study: str = "") -> CellChoice:
+    return CellChoice("bus", "ippo", preset, parameters, candidate, study)
 
 
 def labels_of(cells: Iterable[CellChoice]) -> list[str]:
@@ -158,6 +158,20 @@ NAMED = {
         (cell({"algo.lr": "1", "algo.clip": "0.1"}, candidate="short"), "ippo: short, algo.lr=1"),
         (cell({"algo.lr": "2", "algo.clip": "0.1"}, candidate="short"), "ippo: short, algo.lr=2"),
         (cell({"algo.lr": "1", "algo.clip": "0.3"}, candidate="long, own"), "ippo: long, own"),
+    ],
+    "studies, whose settings stay out unless cells of one differ": [
+        (cell({"algo.lr": "1"}, "paper", study="further"), "further: ippo"),
+        (cell({"algo.lr": "2", "start.run": "bus-0"}, study="started"), "started: ippo, algo.lr=2"),
+        (cell({"algo.lr": "3", "start.run": "bus-0"}, study="started"), "started: ippo, algo.lr=3"),
+    ],
+    "studies on different tasks": [
+        (cell(AGGREGATE, study="first"), "ippo on bus, state=aggregate"),
+        (cell(WHOLE, study="second"), "ippo on bus, state=whole"),
+    ],
+    "a study's name is shown on all tasks": [
+        (cell(AGGREGATE, study="first"), "first: ippo on bus, state=aggregate"),
+        (cell(WHOLE, study="first"), "first: ippo on bus, state=whole"),
+        (cell(WHOLE | TUNED, study="second"), "second: ippo on bus, state=whole"),
     ],
     "a cell outside the search": [
         (cell({"algo.lr": "1"}, candidate="short"), "ippo, algo.lr=1"),
