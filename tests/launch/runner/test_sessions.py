@@ -203,12 +203,8 @@ def test_a_failed_environment_in_a_file_is_fixed_and_trained_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Resuming would refuse the changed file."""
-
-    def training_job(*_: object) -> NoReturn:
-        raise HeadwayError("environment ring returned nan as reward")
-
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(SessionCell, "training_job", training_job)
+    monkeypatch.setattr(SessionCell, "training_job", _training_job)
     (tmp_path / "ring.py").write_text(ENV_FILE)
     lines = failed("run", *TINY, "env=./ring.py", "seed=3", "env_steps=256", "backend=serial").splitlines()
     assert lines[-1].startswith(
