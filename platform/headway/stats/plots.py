@@ -163,7 +163,7 @@ def learning_curves(
 
 
 def _shade_rule_phases(axes: "Axes", phases: Mapping[str, tuple[str, int]], curves: int, sign: int) -> None:
-    """Shade the steps in which a rule acted and name it at their end, one line of text per rule and end.
+    """Shade the steps in which a rule acted and name it at their end, one text per rule and end.
 
     The text is where curves hardly run after a rule's phase: at the bottom if higher is better.
     """
@@ -171,17 +171,18 @@ def _shade_rule_phases(axes: "Axes", phases: Mapping[str, tuple[str, int]], curv
     for name, (rule, steps) in phases.items():
         controllers.setdefault((steps, rule), []).append(name)
     edge, up = (0.0, 1) if sign > 0 else (1.0, -1)
-    middle = sum(axes.get_xlim()) / 2.0
-    for place, ((steps, rule), names) in enumerate(sorted(controllers.items())):
+    middle, lines = sum(axes.get_xlim()) / 2.0, 0
+    for (steps, rule), names in sorted(controllers.items()):
         whose = (
             "" if len(names) == curves else f" ({names[0]})" if len(names) == 1 else f" ({len(names)} curves)"
         )
+        text = _wrapped(f"rule {rule} acts until here{whose}")
         axes.axvspan(0, steps, color="0.5", alpha=0.12, linewidth=0, zorder=0)
         axes.annotate(
-            f"rule {rule} acts until here{whose}",
+            text,
             xy=(steps, edge),
             xycoords=("data", "axes fraction"),
-            xytext=(3 if steps < middle else -3, up * (4 + 11 * place)),
+            xytext=(3 if steps < middle else -3, up * (4 + 11 * lines)),
             textcoords="offset points",
             fontsize="small",
             color="0.35",
@@ -189,6 +190,7 @@ def _shade_rule_phases(axes: "Axes", phases: Mapping[str, tuple[str, int]], curv
             verticalalignment="bottom" if up > 0 else "top",
             bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
         )
+        lines += 1 + text.count("\n")
 
 
 def run_curves(curves: Mapping[str, Mapping[int, float]], title: str) -> "Figure":

@@ -173,6 +173,28 @@ def test_stages_are_vertical_lines_on_their_task() -> None:
     assert upright == [[], [30, 60]]
 
 
+@pytest.mark.parametrize("steps", [45, 55])
+def test_long_names_of_a_rule_s_phase_stay_in_the_panel(steps: int) -> None:
+    names = [
+        "ippo",
+        "mappo",
+        "mappo, env_steps=15000, start.rule=even_headway, start.env_steps=6000, without x",
+    ]
+    points = [(name, at, 1.0) for name in names for at in (0, 50, 100)]
+    means = pd.DataFrame(points, columns=["controller", "env_steps", "mean"])
+    means = means.assign(low=0.5, high=1.5, runs=4)
+    phases = {"": {names[1]: ("hold", steps), names[2]: ("even_headway", steps)}}
+    figure = learning_curves(means, {}, "return", colours(names), rule_phases=phases)
+    figure.canvas.draw()  # type: ignore[attr-defined]
+    [axes] = figure.axes
+    panel = axes.get_window_extent()
+    texts = [text for text in axes.texts if text.get_text().startswith("rule ")]
+    boxes = sorted((text.get_window_extent() for text in texts), key=lambda box: box.y0)
+    assert len(boxes) == 2
+    assert all(panel.x0 <= box.x0 and box.x1 <= panel.x1 for box in boxes)
+    assert boxes[0].y1 <= boxes[1].y0
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_steps_in_which_a_rule_acts_are_shaded_and_named(sign: int) -> None:
     names = ["ippo", "mappo", "maa2c"]
