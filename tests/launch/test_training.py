@@ -104,7 +104,7 @@ def test_errors_are_those_of_the_command_line() -> None:
         run(*TINY, **{"algo.lrr": 1})
     with pytest.raises(HeadwayError, match="seed=-1"):
         sweep(*TINY, seed=-1)
-    with pytest.raises(HeadwayError, match="--config-dir nowhere has no YAML files"):
+    with pytest.raises(HeadwayError, match="--config-dir nowhere: there is no such folder"):
         run("experiment=mine", config_dir="nowhere")
     Path("leaves.py").write_text(f"{SHUTTLE}\nraise SystemExit(3)\n")
     with pytest.raises(HeadwayError, match=r"the environment's code called sys.exit\(3\)"):

@@ -40,9 +40,11 @@ def own_configs(folder: str) -> Iterator[None]:
     Raises HeadwayError if `folder` has none of these groups, or a file that the project also has.
     """
     path = Path(folder).resolve()
+    if not path.is_dir():
+        raise HeadwayError(f"--config-dir {folder}: there is no such folder; correct the path")
     project = _files(configs_folder())
     groups = sorted({*_REGISTERED, *project})
-    own = {group: names for group, names in _files(path).items() if group in groups} if path.is_dir() else {}
+    own = {group: names for group, names in _files(path).items() if group in groups}
     if not any(own.values()):
         raise HeadwayError(
             f"--config-dir {folder} has no YAML files in a folder of one of the names {', '.join(groups)}"

@@ -21,7 +21,8 @@ def read_mapping(path: Path) -> dict[str, Any]:
         require_small_yaml(text)
         content = OmegaConf.to_container(OmegaConf.create(text))
     except (OSError, ValueError, RecursionError, YAMLError, OmegaConfBaseException) as error:
-        raise HeadwayError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
+        problem = " ".join(str(error).split()).replace(' in "<unicode string>"', "")
+        raise HeadwayError(f"{path} is not valid YAML: {problem}") from error
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
         return {}
     return {str(key): value for key, value in content.items()}

@@ -132,7 +132,9 @@ def locked(path: Path, seconds: float, purpose: str) -> Iterator[None]:
 def _write_error(path: Path, error: OSError) -> HeadwayError:
     reason = _FULL.get(error.errno or 0)
     if reason is None:
-        return HeadwayError(f"cannot write {path} ({_reason(error)}): check the folder's permissions")
+        denied = isinstance(error, PermissionError) or error.errno == errno.EROFS
+        fix = "check the folder's permissions" if denied else "choose another folder"
+        return HeadwayError(f"cannot write {path} ({_reason(error)}): {fix}")
     return HeadwayError(f"cannot write {path}: {reason}; free some space and resume, saved data is intact")
 
 

@@ -107,6 +107,10 @@ def test_files_of_the_project_can_be_given_by_path() -> None:
         ("[env, bus]", "must hold keys of an experiment"),
         ("1: 2", "must hold keys of an experiment"),
         ("env: [", "bad.yaml is not valid YAML: "),
+        (
+            "env: a: b",
+            "bad.yaml is not valid YAML: mapping values are not allowed in this context, line 1, c",
+        ),
         ("\0", "bad.yaml is not valid YAML: "),
         ("[" * 5000, "bad.yaml is not valid YAML: "),
         ("env: ${nothing}", "nothing"),
@@ -192,10 +196,13 @@ def test_a_folder_adds_to_all_commands_that_compose(folder: str) -> None:
 
 def test_bad_folders_are_one_line(folder: str) -> None:
     Path("empty").mkdir()
-    for name in ("empty", "nowhere", "our lab/data", "our lab/experiment/ours.yaml"):
-        assert f"--config-dir {name} has no YAML files in a folder" in refused(
-            "run", "--config-dir", name, "experiment=ours"
-        )
+    for name, problem in {
+        "empty": " has no YAML files in a folder",
+        "our lab/data": " has no YAML files in a folder",
+        "nowhere": ": there is no such folder",
+        "our lab/experiment/ours.yaml": ": there is no such folder",
+    }.items():
+        assert f"--config-dir {name}{problem}" in refused("run", "--config-dir", name, "experiment=ours")
     given = ("run", "--config-dir", folder)
     assert "did you mean experiment=ours?" in refused(*given, "experiment=our")
     assert "there is no such experiment" in refused("run", "experiment=ours")

@@ -173,7 +173,7 @@ def test_a_store_that_cannot_be_created_is_reported_before_its_free_space(tmp_pa
     jobs = plan_jobs(compose(["env=trivial", "algo=ippo"]))
     (tmp_path / "file").touch()
     for place in (tmp_path / "file" / "store", Path("/proc/nowhere")):
-        with pytest.raises(HeadwayError, match=f"cannot write {place} .*check the folder's permissions"):
+        with pytest.raises(HeadwayError, match=f"cannot write {place} .*: choose another folder"):
             require_free_disk(place, jobs, 1)
 
 
