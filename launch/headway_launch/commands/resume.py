@@ -66,8 +66,8 @@ def execute(arguments: argparse.Namespace) -> int:
         return print_estimate(cells)
     code, left = run_sessions(cells, arguments.debug, plan_kept=bool(study))
     if code != EXIT_STOPPED:
-        require_all_ended(study or runs[0].record.study, [*held, *left])
-    if not cells:
+        require_all_ended(study or runs[0].record.study, [*held, *left], may_leave=True)
+    if not cells and not held:
         print_line(f"headway: all runs of study {study} have finished: there is nothing to resume")
     return code
 

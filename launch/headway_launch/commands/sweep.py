@@ -23,8 +23,8 @@ there are cores. Repeating a sweep continues it: finished runs are kept, stopped
 checkpoints. A changed configuration is a new cell of the study. The same sweep started several times at once
 on one machine divides the runs among its sessions.
 With --slurm, nothing is trained; a script for sbatch is written and its path printed.
-Exit code: 0 all runs have finished; 2 some failed (the others were completed) or belong to another session;
-130 interrupted.
+Exit code: 0 all runs have finished, or other sessions train the rest; 2 some failed (the others were
+completed); 130 interrupted.
 """
 
 
@@ -73,7 +73,7 @@ def execute(arguments: argparse.Namespace) -> int:
         from headway_launch.studies.dry_run import print_estimate
 
         return print_estimate(session.cells)
-    _, code = session.train(arguments.debug)
+    _, code = session.train(arguments.debug, may_leave=True)
     return code
 
 

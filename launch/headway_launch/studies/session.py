@@ -42,15 +42,15 @@ class StudySession:
         ]
         return cls(tuple(experiments), tuple(progress), tuple(plan_cells(progress)))
 
-    def train(self, debug: bool = False) -> tuple[Runner, int]:
+    def train(self, debug: bool = False, may_leave: bool = False) -> tuple[Runner, int]:
         """Train; return the runner and the exit code.
 
-        Raises HeadwayError if the store cannot be used, and if runs left to other sessions have not finished.
+        Raises HeadwayError if the store cannot be used, and as `require_all_ended`.
         """
         runner = self.open_runner(debug)
         code = runner.run()
         if code != EXIT_STOPPED:
-            require_all_ended(self.experiments[0].config.study, runner.left_to_others())
+            require_all_ended(self.experiments[0].config.study, runner.left_to_others(), may_leave)
         return runner, code
 
     def open_runner(self, debug: bool) -> Runner:
@@ -75,12 +75,12 @@ def print_progress(study: str, progress: Sequence[StudyProgress]) -> None:
         print_line(f"headway: {counted(sum(counts.values()), 'run')} of study {study}: {parts}")
 
 
-def require_all_ended(study: str, left: Sequence[Path]) -> None:
+def require_all_ended(study: str, left: Sequence[Path], may_leave: bool = False) -> None:
     """Raise HeadwayError, with what to do, if runs in the folders `left` to other sessions have not finished.
 
-    A killed session on another host cannot be recognised here.
+    `may_leave`: if all of these are still being trained, print the line instead. A killed session on another
+    host cannot be recognised here.
     """
-
     records = [record for record in map(RunRecord.read, left) if record.settled_status != "FINISHED"]
     if not records:
         return
@@ -91,4 +91,6 @@ def require_all_ended(study: str, left: Sequence[Path]) -> None:
     line += "; repeat this command when these have ended"
     if any(session.host != node() for session in held):
         line += '; if one was killed, repeat it on that host or set "status": "KILLED" in its runs\' run.json'
-    raise HeadwayError(line)
+    if not may_leave or any(record.settled_status != "RUNNING" for record in records):
+        raise HeadwayError(line)
+    print_line(f"headway: {line}")
