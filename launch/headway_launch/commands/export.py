@@ -12,6 +12,7 @@ from headway.config.schema import suggestion
 from headway.contracts.errors import EnvironmentRaisedError, HeadwayError
 from headway_launch.commands.arguments import add_best_argument, add_store_argument, existing_store
 from headway_launch.console.output_files import require_writable
+from headway_launch.console.progress_display import CountedProgress
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Check the exported policy against the rollout worker's, write it and print the path of the file."""
-    from headway.policies.files import FORMATS, policy_bytes
+    from headway.policies.files import FORMATS, policy_bytes, require_packages
     from headway.policies.trained_run import TrainedRun
     from headway.store.atomic_files import write_durably
     from headway_launch.console.output import print_line
@@ -67,13 +68,16 @@ def execute(arguments: argparse.Namespace) -> int:
             f"--output: {output} must end in {suffix}, the suffix of --format {arguments.format}"
         )
     require_writable("--output", output, output.parent)
+    require_packages(arguments.format)
     trained = TrainedRun.read(run.directory, arguments.best)
     for line in trained.notices:
         print_line(f"headway: {line}")
+    print_line("preparing the training environment, to compare the file with the rollout worker on it")
     environment, reason = _environment(run, trained.spec)
     description = trained.description
     if environment is not None and (source := getattr(environment.prepared, "source", None)):
         description = replace(description, origin={**description.origin, "data": source})
+    print_line(f"making the file, {arguments.format}")
     content = policy_bytes(arguments.format, description, trained.arrays)
     try:
         rows = _compared(content, suffix, trained, environment)
@@ -99,13 +103,15 @@ def _compared(content: bytes, suffix: str, trained: "TrainedRun", environment: "
     from headway.policies.files import read_policy
     from headway.policies.parity import require_parity
 
-    with tempfile.TemporaryDirectory() as folder:
+    steps = 1 if environment is None else _STEPS
+    with tempfile.TemporaryDirectory() as folder, CountedProgress("steps compared", steps) as progress:
         file = Path(folder, f"policy{suffix}")
         file.write_bytes(content)
         policy, rows = read_policy(file), 0
         for observed, state in _random(trained) if environment is None else _played(trained, environment):
             require_parity(policy, trained.acting, trained.parameters, observed, state)
             rows += int(observed.alive.sum())
+            progress.add()
     return rows
 
 

@@ -104,7 +104,7 @@ def execute(arguments: argparse.Namespace) -> int:
     compile_kernels(found.entry)
     root = player.root if arguments.seed is None else arguments.seed
     caption = f"{player.name}: evaluation episode {arguments.episode} of seed {root}"
-    with closing(_frames(player, root, arguments.episode, caption)) as frames:
+    with closing(_frames(player, root, arguments.episode, caption, arguments.step)) as frames:
         if output.suffix == ".png":
             write_picture(_picture_at(frames, arguments.step), output, caption)
         else:
@@ -231,8 +231,13 @@ def _run(arguments: argparse.Namespace) -> "StoredRun":
         raise
 
 
-def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generator[Frame]":
-    """Yield pictures of one evaluation episode above its caption, until the episode ends."""
+def _frames(
+    player: _Player, root: int, episode: int, caption: str, steps: int | None = None
+) -> "Generator[Frame]":
+    """Yield pictures of one evaluation episode above its caption, until the episode ends.
+
+    `steps`: number that the caller needs, for the time left; None: all, of unknown number.
+    """
     import numpy as np
 
     from headway.rollout.episodes import evaluation_seeds
@@ -242,7 +247,7 @@ def _frames(player: _Player, root: int, episode: int, caption: str) -> "Generato
     found = player.environment
     assert found.entry.renderer is not None
     renderer = found.entry.renderer(found.prepared)
-    with CountedProgress("steps played") as progress, closing(player.make()) as env:
+    with CountedProgress("steps played", steps) as progress, closing(player.make()) as env:
         observed, ended = env.reset(evaluation_seeds(root, episode, 1)), False
         first = renderer.render(behind_wrappers(env), at_end=False)
         strip = caption_strip(caption, first.shape[1])

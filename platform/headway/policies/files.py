@@ -170,11 +170,14 @@ FORMATS: Mapping[str, Format] = {
 }
 
 
-def policy_bytes(form: str, description: PolicyDescription, arrays: Arrays) -> bytes:
-    """Return the contents of a policy's file of a format in `FORMATS`.
+def require_packages(form: str) -> None:
+    """Raise HeadwayError if packages that a format in `FORMATS` needs are not installed."""
+    for package in ("onnx", "onnxruntime") if form == "onnx" else ():
+        _imported(package)
 
-    Raises HeadwayError if packages that it needs are not installed.
-    """
+
+def policy_bytes(form: str, description: PolicyDescription, arrays: Arrays) -> bytes:
+    """Return the contents of a policy's file of a format in `FORMATS`; raises as `require_packages`."""
     return FORMATS[form].contents(description, arrays)
 
 

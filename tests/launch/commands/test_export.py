@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_lines import output, refused, rows_of
+from command_lines import failed, output, refused, rows_of
 from kept_policies import keep_run_on
 
 from headway.api import Policy, child_seeds, load_policy
@@ -70,7 +70,9 @@ def test_a_file_alone_has_the_mean_return_of_evaluate(kind: str, tmp_path: Path)
 
 def test_the_printed_return_is_that_of_the_file(tmp_path: Path) -> None:
     folder = keep_run_on(tmp_path / "runs", KINDS["recurrent"])
-    assert run(["export", folder.name, "--output", "policy.npz"]) == 0
+    told = output("export", folder.name, "--output", "policy.npz").err.splitlines()
+    assert told[0].startswith("preparing the training environment, to compare the file")
+    assert told[1] == "making the file, npz"
     rows = rows_of("evaluate", folder.name, "--episodes", str(EPISODES), "--rules", "random")
     shown = float({row[0]: row[1] for row in rows}["return"])
     policy = load_policy("policy.npz")
@@ -127,7 +129,7 @@ def test_a_file_that_acts_otherwise_is_not_written(tmp_path: Path, monkeypatch: 
 
     write = files.FORMATS["npz"].contents
     monkeypatch.setitem(files.FORMATS, "npz", files.FORMATS["npz"]._replace(contents=wrong))
-    assert "differs from the rollout workers'" in refused("export", folder.name, "--output", "policy.npz")
+    assert "differs from the rollout workers'" in failed("export", folder.name, "--output", "policy.npz")
     assert Path("policy.npz").read_text() == "earlier"
 
 

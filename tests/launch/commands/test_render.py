@@ -228,6 +228,8 @@ def test_a_terminal_is_told_how_far_an_episode_is(tmp_path: Path, monkeypatch: p
     told = output("render", *IDLE, "--output", str(tmp_path / "a.gif")).err
     assert "steps played: " in told
     assert "frames written: 5 of 5" in told
+    moment = output("render", *IDLE, "--output", str(tmp_path / "a.png"), "--step", "3").err
+    assert "steps played: 3 of 3" in moment
 
 
 def test_a_bus_day_is_drawn_as_map_and_diagram(tmp_path: Path) -> None:
