@@ -240,6 +240,21 @@ def test_every_name_in_the_registries_can_be_loaded() -> None:
     assert [target for target in targets - results if not callable(loaded[target])] == []
 
 
+def test_what_commands_write_into_the_current_folder_by_default_is_ignored() -> None:
+    names = [
+        "bus.png",
+        "bus.gif",
+        "RUN.npz",
+        "RUN.onnx",
+        "RUN.pt",
+        "bus.zip",
+        "report-bus/report.html",
+        "csv-bus/a",
+    ]
+    ignored = subprocess.run(["git", "check-ignore", *names], cwd=ROOT, capture_output=True, text=True)
+    assert ignored.stdout.split() == names
+
+
 def example_code() -> Iterator[tuple[str, str]]:
     """Each Python example of guides and notebooks: the file that it stands in, and its text."""
     names = subprocess.run(
