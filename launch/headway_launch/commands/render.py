@@ -211,14 +211,14 @@ def _run(arguments: argparse.Namespace) -> "StoredRun":
     try:
         return StoredRun.find(existing_store(arguments.store), arguments.name)
     except HeadwayError as error:
-        known = options()["env"]
+        known, folders = options()["env"], list(run_folders(Path(arguments.store)))
         runs = [
             folder.name
-            for folder in run_folders(Path(arguments.store))
+            for folder in folders
             if arguments.name in folder.name or arguments.name == folder.parent.name
         ]
         if arguments.name in known:
-            named = f", {first_runs(runs)}" if runs else ""
+            named = f", {first_runs(runs, [folder.name for folder in folders])}" if runs else ""
             raise HeadwayError(
                 f"{arguments.name} is an environment; add --rule RULE "
                 f"(`headway list rules {arguments.name}`), or name a run{named}"

@@ -9,7 +9,7 @@ tracking*.json                            what MLflow has received
 import os
 import re
 import secrets
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from difflib import SequenceMatcher, get_close_matches
@@ -258,10 +258,13 @@ def find_run(root: Path, run_id: str) -> Path:
     if len(matches) == 1:
         return folders[matches[0]]
     if runs := [name for name, folder in folders.items() if folder.parent.name == _slug(run_id)]:
-        raise HeadwayError(f"{run_id!r} is a study in {root}: name one of its runs, {first_runs(runs)}")
+        raise HeadwayError(
+            f"{run_id!r} is a study in {root}: name one of its runs, {first_runs(runs, folders)}"
+        )
     if matches:
         raise HeadwayError(
-            f"{run_id!r} is part of the names of {len(matches)} runs: name one, {first_runs(matches)}"
+            f"{run_id!r} is part of the names of {len(matches)} runs: name one, "
+            f"{first_runs(matches, folders)}; `headway runs` shows in what they differ"
         )
     hint = "`headway runs` lists the runs" if folders else "the store holds no runs"
     for nearest in get_close_matches(run_id, folders, n=1, cutoff=0.0):
@@ -271,13 +274,23 @@ def find_run(root: Path, run_id: str) -> Path:
     raise HeadwayError(f"no run {run_id!r} in {root}: {hint}")
 
 
-def first_runs(names: Sequence[str]) -> str:
+def first_runs(names: Sequence[str], among: Collection[str]) -> str:
     """Return the runs for an error that asks for one of them: `a, b or c`; the newest five if there are more:
-    `such as a, b, c, d or e (12 in all)`."""
+    `such as a, b, c, d or e (12 in all)`.
+
+    A name is cut to its cell and seed if it stays unique `among` the names of all runs.
+    """
     newest = sorted(sorted(names), key=lambda name: name.split("-")[-3:-1], reverse=True)
-    *most, last = newest[:_MAX_NAMED]
+    short = {name: _MOMENT.sub("", name) for name in newest[:_MAX_NAMED]}
+    *most, last = (
+        part if sum(part in other for other in among) == 1 else name for name, part in short.items()
+    )
     listed = f"{', '.join(most)} or {last}" if most else last
     return f"such as {listed} ({len(names)} in all)" if len(names) > _MAX_NAMED else listed
+
+
+_MOMENT = re.compile(r"-\d{8}-\d{6}-[0-9a-f]+$")
+"""End of a run's name: when it was begun, and random digits."""
 
 
 def _slug(name: str) -> str:

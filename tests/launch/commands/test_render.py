@@ -201,12 +201,17 @@ def test_an_environment_whose_name_runs_have_is_told_with_those_runs(empty_folde
         run = empty_folder / "runs" / "bus" / f"bus-ippo-s{9 - seed}-2026010{seed}-120000-ab"
         run.mkdir(parents=True)
         (run / "run.json").write_text("{}")
-    *most, last = (f"bus-ippo-s{9 - day}-2026010{day}-120000-ab" for day in (6, 5, 4, 3, 2))
+    *most, last = (f"bus-ippo-s{9 - day}" for day in (6, 5, 4, 3, 2))
     named = f"such as {', '.join(most)} or {last} (7 in all)"
     line = f"bus is an environment; add --rule RULE (`headway list rules bus`), or name a run, {named}\n"
     assert refused("render", "bus").endswith(line)
     assert f"'ippo' is part of the names of 7 runs: name one, {named}" in refused("render", "ippo")
     assert f"'bus' is a study in runs: name one of its runs, {named}" in refused("export", "bus")
+    again = empty_folder / "runs" / "bus" / "bus-ippo-s3-20260107-120000-cd"
+    again.mkdir()
+    (again / "run.json").write_text("{}")
+    both = "bus-ippo-s3-20260107-120000-cd or bus-ippo-s3-20260106-120000-ab"
+    assert f"2 runs: name one, {both}; `headway runs` shows" in refused("export", "ippo-s3")
 
 
 @pytest.mark.usefixtures("empty_folder")
