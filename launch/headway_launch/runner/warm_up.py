@@ -4,20 +4,26 @@
 """
 
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import chain
 from multiprocessing import get_context
+from threading import Event, Thread
 from typing import TYPE_CHECKING
 
 from headway.registry import algo_entries, env_entries
 from headway_launch.console.output import print_line
+from headway_launch.console.progress import duration
 
 if TYPE_CHECKING:
     from headway.contracts.entries import EnvEntry
     from headway_launch.experiments.compose import Experiment
+
+_EVERY_S = 30.0
+"""Seconds between two lines about a compilation that goes on."""
 
 
 def compile_kernels(env: "EnvEntry") -> None:
@@ -62,11 +68,14 @@ def _warm_module(name: str) -> None:
 
 @contextmanager
 def _compilation_shown(kernels: str) -> Iterator[None]:
-    """Print a line about `kernels` when numba begins to compile; loading from its cache is not reported."""
+    """Print a line about `kernels` when numba begins to compile, and others while it does; loading from its
+    cache is not reported."""
     if "numba" not in sys.modules:
         yield
         return
     from numba.core import event
+
+    over = Event()
 
     class FirstCompilation(event.Listener):  # type: ignore[misc]  # numba has no type stubs
         printed = False
@@ -74,13 +83,24 @@ def _compilation_shown(kernels: str) -> Iterator[None]:
         def on_start(self, event: object) -> None:
             if not self.printed:
                 print_line(f"compiling the kernels of {kernels}, once (a few minutes)")
+                Thread(target=_print_elapsed, args=(kernels, over), daemon=True).start()
             self.printed = True
 
         def on_end(self, event: object) -> None:
             """Do nothing; the listener must define this method."""
 
-    with event.install_listener("numba:compile", FirstCompilation()):
-        yield
+    try:
+        with event.install_listener("numba:compile", FirstCompilation()):
+            yield
+    finally:
+        over.set()
+
+
+def _print_elapsed(kernels: str, over: Event) -> None:
+    """Print the time since the call at intervals, until `over` is set."""
+    began = time.monotonic()
+    while not over.wait(_EVERY_S):
+        print_line(f"still compiling the kernels of {kernels}, for {duration(time.monotonic() - began)}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Kernels are compiled before training starts, with a notice if that happens."""
 
 import sys
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
@@ -36,6 +37,20 @@ def test_compiling_is_reported_once_and_only_if_it_happens(
     compile_kernels(entry("kernels_of_a_test"))
     compile_kernels(entry("json"))
     assert capsys.readouterr().err == ""
+
+
+def test_a_long_compilation_prints_its_time(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("headway_launch.runner.warm_up._EVERY_S", 0.01)
+    kernels = ModuleType("slow_kernels")
+    kernels.warm = lambda: (numba.njit(lambda x: x + 1)(3), time.sleep(0.3))  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "slow_kernels", kernels)
+    compile_kernels(entry("slow_kernels"))
+    _, *later = capsys.readouterr().err.splitlines()
+    assert later[0].startswith("still compiling the kernels of slow_kernels (1 of 1), for 0:00:0")
+    time.sleep(0.1)
+    assert capsys.readouterr().err.count("\n") <= 1
 
 
 @pytest.mark.parametrize("arguments", [{}, {"observation": "published", "state": "aggregate"}])
