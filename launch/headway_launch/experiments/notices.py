@@ -11,6 +11,8 @@ from headway_launch.experiments.experiment_file import split_experiment_file
 
 _INTERVALS = 6
 """Evaluations after the first that a suggested `evaluation.every` leaves, at least."""
+_EPISODE_STEPS = 80
+"""Steps of an episode that are assumed to tell whether the last evaluation is longer than the training."""
 
 
 def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -> None:
@@ -21,12 +23,12 @@ def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -
         preset = experiments[0].config.preset
         chosen = "" if preset == NO_PRESET else f", with preset={preset}"
         lines.append(f"no algo is named: algo={experiments[0].algo_name}{chosen} (`headway list algos`)")
-    lines += [line for experiment in experiments for line in _about(experiment.config)]
+    lines += [line for each in experiments for line in _about(each.config, len(each.rules))]
     for line in dict.fromkeys(lines):
         print_line(f"headway: {line}")
 
 
-def _about(config: ExperimentConfig) -> Iterator[str]:
+def _about(config: ExperimentConfig, rules: int) -> Iterator[str]:
     evaluation, steps = config.evaluation, config.env_steps
     evaluations = 1 + config.evaluations_until(config.iterations)
     yield _extent(config, evaluations)
@@ -36,6 +38,13 @@ def _about(config: ExperimentConfig) -> Iterator[str]:
         yield (
             f"evaluation.every={evaluation.every:_} is not below env_steps={steps:_}: the curve has "
             f"two points, before and after training; set evaluation.every={max(every, 1):_}"
+        )
+    last, least = evaluation.last_episodes, evaluation.episodes
+    if rules and last > least and steps < _EPISODE_STEPS * last * (rules + len(evaluation.modes)):
+        yield (
+            f"the last evaluation, of the policies and of {counted(rules, 'rule')} on {last} episodes each, "
+            f"may take longer than {steps:,} steps of training: set evaluation.final_episodes={least}, "
+            "or fewer rules in evaluation.rules"
         )
     if (
         evaluation.final_episodes < evaluation.episodes

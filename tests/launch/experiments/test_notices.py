@@ -9,6 +9,8 @@ from headway.config.experiment import EnvConfig
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.notices import print_notices
 
+SHORT = ("evaluation.every=5_000", "evaluation.final_episodes=10")
+
 
 @pytest.mark.parametrize(
     ("words", "lines"),
@@ -17,13 +19,22 @@ from headway_launch.experiments.notices import print_notices
         (["env=trivial"], ["no algo is named: algo=mappo (`headway list algos`)"]),
         (["experiment=bus_mappo"], []),
         (
-            ["experiment=bus_mappo", "env_steps=30_000"],
+            ["experiment=bus_mappo", "env_steps=30_000", SHORT[1]],
             [
                 "evaluation.every=45_600 is not below env_steps=30_000: the curve has two points, before and "
                 "after training; set evaluation.every=5_000"
             ],
         ),
-        (["experiment=bus_mappo", "env_steps=30_000", "evaluation.every=5_000"], []),
+        (
+            ["experiment=bus_mappo", "env_steps=30_000", "evaluation.every=5_000"],
+            [
+                "the last evaluation, of the policies and of 11 rules on 100 episodes each, may take longer "
+                "than 30,000 steps of training: set evaluation.final_episodes=10, or fewer rules in "
+                "evaluation.rules"
+            ],
+        ),
+        (["experiment=bus_mappo", "env_steps=30_000", *SHORT], []),
+        (["experiment=bus_mappo", "env_steps=90_000", "evaluation.rules=[even_headway]"], []),
         (
             ["env=bus", "algo=mappo", "evaluation.final_episodes=5"],
             [
@@ -47,7 +58,7 @@ def test_the_extent_of_a_run_is_said_with_its_rounding_and_its_folders(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["env=trivial", "algo=ippo", "rollout.copies=4", "rollout.block=4", "rollout.steps=50"]
-    words += ["evaluation.every=300"]
+    words += ["evaluation.every=300", SHORT[1]]
     args = {"scenario": str(tmp_path), "none": "", "too_long": "x" * 300}
     few = replace(compose([*words, "env_steps=100"]).config, env=EnvConfig("e", args))
     many = compose([*words, "env_steps=1000"])
