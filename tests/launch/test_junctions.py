@@ -28,8 +28,8 @@ def test_a_policy_plays_on_another_network(empty_folder: Path, capsys: pytest.Ca
     capsys.readouterr()
     assert run(["evaluate", name, "--episodes=1", "--rules=human,signal", *other]) == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
-    outflow = next(row[1:] for row in rows if row[0] == "outflow_vph")
-    assert float(outflow[1]) > 800
+    [human] = [dict(zip(rows[0], row, strict=True)) for row in rows if row[0] == "rule human"]
+    assert float(human["outflow_vph"]) > 800
     assert run(["render", name, "--output", "picture.png"]) == 0
     assert Path("picture.png").stat().st_size > 1000
     assert run(["evaluate", name, *other, "env.args.approaches=3"]) == 2

@@ -6,13 +6,10 @@ import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from statistics import fmean
 from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
-from headway.rollout.lookahead import is_lookahead
-from headway.wording import readable_metric
 from headway_launch.commands.arguments import (
     OTHER_EVALUATION_SEED,
     add_best_argument,
@@ -27,20 +24,18 @@ from headway_launch.console.tables import print_table
 from headway_launch.report.comparison_table import (
     PAIR_COLUMNS,
     RECORD_COLUMNS,
-    Comparison,
-    comparison_rows,
     comparison_table,
-    metric_values,
+    pair_values,
     pairs_table,
+    records,
 )
 from headway_launch.report.elements import Table
 from headway_launch.report.latex_table import latex_table
 from headway_launch.report.markdown_page import markdown_table
-from headway_launch.studies.learner_pairs import pair_rows, pairs_note
+from headway_launch.runner.comparison import Comparison, metric_values
+from headway_launch.studies.learner_pairs import PairRow, pair_rows, pairs_note
 
 if TYPE_CHECKING:
-    from headway.events import Row
-    from headway_launch.runner.stored_run import StoredRun
     from headway_launch.studies.compared_learners import ComparedLearners
 
 EXAMPLES = """\
@@ -64,9 +59,9 @@ a cell with one seed, over training seeds and episodes for a cell with several. 
 rule with the highest mean return. Pairs of learners, of different studies if several are named, are compared
 by the first metric: paired by episode but not by seed, with an interval and a p-value over the seeds of both
 and the episodes. p (Holm) is corrected for the number of pairs; --where selects fewer.
-The tables round the numbers of a metric to three significant digits of its narrowest interval; markdown and
-latex (for the package booktabs), which have one row per controller or pair, to two; csv and json have all
-digits and one row per difference. `headway list metrics ENVIRONMENT` describes the metrics.
+Tables, also in markdown and latex (for the package booktabs), have one row per controller or pair and round
+the numbers of a metric to two significant digits of its narrowest interval; piped, they have six digits. csv
+and json have all digits and one row per difference. `headway list metrics ENVIRONMENT` describes the metrics.
 """
 
 
@@ -106,9 +101,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Evaluate and print the table."""
+    from headway_launch.console.output import print_line
     from headway_launch.console.progress_display import CountedProgress
+    from headway_launch.experiments.start_line import start_line
     from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
-    from headway_launch.runner.comparison import counting, rule_episodes, rules_to_play
+    from headway_launch.runner.comparison import counting, print_findings, rule_episodes, rules_to_play
     from headway_launch.runner.warm_up import compile_kernels
     from headway_launch.studies.kept_episodes import keep_episodes, require_other_episodes
 
@@ -143,7 +140,6 @@ def execute(arguments: argparse.Namespace) -> int:
     players = len(names) + sum(map(len, policies.values()))
     with CountedProgress("episodes played", players * episodes) as progress:
         rules = rule_episodes(experiment, found.prepared, names, root, episodes, progress)
-        reference = arguments.against or _best(rules)
         played = {
             label: [
                 policy_episodes(policy, root, episodes, greedy, counting(progress, label))
@@ -156,55 +152,26 @@ def execute(arguments: argparse.Namespace) -> int:
             iterations = [policy.iteration for policy in policies[label]]
             keep_episodes(members, iterations, played[label], rules, root, arguments.mode)
     mode = f", {arguments.mode}" if cells else ""
-    by_return = sorted(rules, key=lambda rule: -_mean(rules[rule], "return"))
-    comparison = Comparison(
+    comparison = Comparison.of(
         f"{without_folders(subject.name)}: {episodes} episodes of {found.spec.name}{mode}",
-        reference,
-        {metric: readable_metric(metric, found.entry.metrics.get(metric, "")) for metric in metrics},
-        [*played, *(f"rule {rule}" for rule in by_return)],
-        comparison_rows(metrics, rules, played, reference),
-        pair_rows(
-            metrics[0],
-            {label: [metric_values(of_seed, metrics[0]) for of_seed in played[label]] for label in played},
-            subject.pairs(which),
-        ),
+        found.entry.metrics,
+        rules,
+        played,
+        metrics,
+        arguments.against,
     )
-    _FORMATS[arguments.format](comparison, typed_line(arguments))
-    _print_notes(cells, rules, played, arguments.mode)
-    return 0
-
-
-def _print_notes(
-    cells: Mapping[str, Sequence["StoredRun"]],
-    rules: Mapping[str, Sequence["Row"]],
-    played: Mapping[str, Sequence[Sequence["Row"]]],
-    mode: str,
-) -> None:
-    """Print what learners started from, gaps to `lookahead`, and what the numbers are too few for."""
-    from headway_launch.console.output import print_line
-    from headway_launch.experiments.start_line import start_line
-    from headway_launch.runner.comparison import (
-        EPISODES_FOR_A_CLAIM,
-        SEEDS_FOR_A_CLAIM,
-        few_episodes,
-        few_seeds,
-        gap_lines,
+    pairs = pair_rows(
+        metrics[0],
+        {label: [metric_values(of_seed, metrics[0]) for of_seed in played[label]] for label in played},
+        subject.pairs(which),
     )
-
+    _FORMATS[arguments.format](comparison, pairs, typed_line(arguments))
     for label, members in cells.items():
         folders = [run.directory for run in members]
-        return_metric = f"evaluation_{mode}/return"
-        if line := start_line(label, members[0].store, folders, return_metric):
+        if line := start_line(label, members[0].store, folders, f"evaluation_{arguments.mode}/return"):
             print_line(line)
-    returns = {label: fmean(_mean(of_seed, "return") for of_seed in played[label]) for label in played}
-    for line in gap_lines(returns, {rule: metric_values(rows, "return") for rule, rows in rules.items()}):
-        print_line(line)
-    fewest = min(map(len, cells.values()), default=SEEDS_FOR_A_CLAIM)
-    if fewest < SEEDS_FOR_A_CLAIM:
-        print_line(few_seeds(fewest))
-    episodes = len(next(iter(rules.values())))
-    if episodes < EPISODES_FOR_A_CLAIM and len(rules) + len(played) > 1:
-        print_line(few_episodes(episodes))
+    print_findings(comparison, played, rules)
+    return 0
 
 
 def _subject(arguments: argparse.Namespace) -> "ComparedLearners":
@@ -260,45 +227,36 @@ def _metrics(names: str, known: Sequence[str]) -> tuple[str, ...]:
     return wanted
 
 
-def _best(rules: Mapping[str, Sequence["Row"]]) -> str:
-    """Return the rule with the highest mean return; `lookahead` only if there is no other."""
-    return max(rules, key=lambda rule: (not is_lookahead(rule), _mean(rules[rule], "return")))
-
-
-def _mean(episodes: Sequence["Row"], metric: str) -> float:
-    return fmean(metric_values(episodes, metric))
-
-
-def _print_tables(found: Comparison, line: str) -> None:
+def _print_tables(found: Comparison, pairs: Sequence[PairRow], line: str) -> None:
     from headway_launch.console.output import print_line
 
-    print_table(found.columns, found.rounded(), title=found.title)
-    if found.pairs:
-        print_table(PAIR_COLUMNS, found.rounded_pairs(), title="pairs of learners")
-        print_line(pairs_note(found.pairs))
+    found.show()
+    if pairs:
+        print_table(PAIR_COLUMNS, list(map(pair_values, pairs)), title="pairs of learners")
+        print_line(pairs_note(pairs))
 
 
-def _page_tables(found: Comparison, note: str = "") -> list[Table]:
+def _page_tables(found: Comparison, pairs: Sequence[PairRow], note: str = "") -> list[Table]:
     """Return the tables for a page or a paper; `note`: end of their captions."""
     tables = [comparison_table(found, note)]
-    if found.pairs:
-        caption = f"{found.title}. Differences between learners, {found.metrics[found.pairs[0].metric]}"
-        pairs = pairs_table(found.pairs, "pairs", caption)
-        tables.append(replace(pairs, caption=pairs.caption + note))
+    if pairs:
+        caption = f"{found.title}. Differences between learners, {found.metrics[pairs[0].metric]}"
+        table = pairs_table(pairs, "pairs", caption)
+        tables.append(replace(table, caption=table.caption + note))
     return tables
 
 
-_FORMATS: Mapping[str, Callable[[Comparison, str], None]] = {
+_FORMATS: Mapping[str, Callable[[Comparison, Sequence[PairRow], str], None]] = {
     "table": _print_tables,
-    "json": lambda found, _: print(json.dumps(found.records(), indent=1)),
-    "csv": lambda found, _: csv.writer(sys.stdout, lineterminator="\n").writerows(
-        [RECORD_COLUMNS, *(record.values() for record in found.records())]
+    "json": lambda found, pairs, _: print(json.dumps(records(found, pairs), indent=1)),
+    "csv": lambda found, pairs, _: csv.writer(sys.stdout, lineterminator="\n").writerows(
+        [RECORD_COLUMNS, *(record.values() for record in records(found, pairs))]
     ),
-    "markdown": lambda found, line: print(
-        "\n\n".join(map(markdown_table, _page_tables(found, f" Written by `{line}`.")))
+    "markdown": lambda found, pairs, line: print(
+        "\n\n".join(map(markdown_table, _page_tables(found, pairs, f" Written by `{line}`.")))
     ),
-    "latex": lambda found, line: print(
-        "\n".join(latex_table(table, line) for table in _page_tables(found)), end=""
+    "latex": lambda found, pairs, line: print(
+        "\n".join(latex_table(table, line) for table in _page_tables(found, pairs)), end=""
     ),
 }
-"""Printers by the value of --format, of a comparison made by a command line."""
+"""Printers by the value of --format, of a comparison, and of pairs of learners, made by a command line."""

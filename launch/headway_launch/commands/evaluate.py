@@ -3,6 +3,7 @@
 import argparse
 
 from headway.contracts.errors import HeadwayError
+from headway.wording import counted
 from headway_launch.commands.arguments import (
     OTHER_EVALUATION_SEED,
     add_best_argument,
@@ -19,9 +20,9 @@ examples:
   headway evaluate RUN --mode sampled --rules always_move,headway_holding_0.9
 
 env.args.KEY=VALUE changes the environment for the policy and the rules alike; observations and actions must
-keep their shapes. Differences are of the return, policy minus rule, paired by episode, with 95% intervals
-over episodes.
-`headway list metrics ENVIRONMENT` describes the other metrics.
+keep their shapes. Differences are of the return, controller minus best rule, paired by episode, with 95%
+intervals over episodes. The other columns are the environment's first metrics (`headway list metrics
+ENVIRONMENT`); `headway compare STUDY --metrics NAME,NAME` shows any.
 """
 
 
@@ -55,7 +56,13 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.output import print_line
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
-    from headway_launch.runner.comparison import counting, print_comparison, rule_episodes, rules_to_play
+    from headway_launch.runner.comparison import (
+        Comparison,
+        counting,
+        print_findings,
+        rule_episodes,
+        rules_to_play,
+    )
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.runner.warm_up import compile_kernels
 
@@ -74,7 +81,7 @@ def execute(arguments: argparse.Namespace) -> int:
     policy = stored_policy(run, found, arguments.best, arguments.overrides)
     if changes:
         print_line(f"headway: evaluated on a changed environment: {'; '.join(changes)}")
-    name = f"{experiment.algo_name} {arguments.mode}"
+    name = experiment.algo_name
     if arguments.best:
         name = f"{name}, best policy (iteration {policy.iteration})"
         if arguments.seed is None:
@@ -86,5 +93,8 @@ def execute(arguments: argparse.Namespace) -> int:
         greedy, count = arguments.mode == "greedy", counting(progress, name)
         learned = policy_episodes(policy, root, episodes, greedy, count)
         played = rule_episodes(experiment, found.prepared, rules, root, episodes, progress)
-    print_comparison(name, [learned], played)
+    title = f"{run.record.run_id}: {counted(episodes, 'episode')} of {found.spec.name}, {arguments.mode}"
+    comparison = Comparison.of(title, found.entry.metrics, played, {name: [learned]})
+    comparison.show()
+    print_findings(comparison, {name: [learned]}, played)
     return 0

@@ -29,15 +29,17 @@ def print_table(
     title: str = "",
     whole: Collection[str] = (),
     spare: Sequence[str] = (),
+    numbers: Collection[str] = (),
     note: Callable[[Sequence[str]], str] = omission,
 ) -> None:
     """Print rows under a line of column names; None is an empty value.
 
     On a terminal too narrow for the table, columns in `spare` are omitted in that order; if that is not
     enough, columns in `whole` are wrapped too; if that is not enough either, each row is printed as a list of
-    its values. Numbers are never wrapped. If stdout is not a terminal: no title, one row per line, cells
-    separated by tabs, numbers with six significant digits. `note` returns the line below the table for the
-    omitted columns, or an empty string; it goes to stderr if stdout is not a terminal.
+    its values. Numbers, and the columns `numbers` of formatted ones, are never wrapped. If stdout is not a
+    terminal: no title, one row per line, cells separated by tabs, numbers with six significant digits. `note`
+    returns the line below the table for the omitted columns, or an empty string; it goes to stderr if stdout
+    is not a terminal.
     """
     if not sys.stdout.isatty():
         print("\t".join(columns))
@@ -50,13 +52,13 @@ def print_table(
     from rich.console import Console
 
     console = Console()
-    layout = _Layout(columns, rows, whole)
+    layout = _Layout(columns, rows, whole, numbers)
     left_out = layout.leave_out(spare, console.width)
     if layout.least_width > console.width:
         for column in layout.columns:
             column.firm = column.numeric
     if layout.least_width > console.width:
-        _print_as_lists(console, _Layout(columns, rows, whole), title)
+        _print_as_lists(console, _Layout(columns, rows, whole, numbers), title)
         left_out = []
     else:
         console.print(layout.fitted(console.width, title))
@@ -91,10 +93,15 @@ class _Layout:
     """Formatted columns of a table, and the width they need."""
 
     def __init__(
-        self, columns: Sequence[str], rows: Sequence[Sequence[Value]], whole: Collection[str]
+        self,
+        columns: Sequence[str],
+        rows: Sequence[Sequence[Value]],
+        whole: Collection[str],
+        numbers: Collection[str],
     ) -> None:
         self.columns = [
-            _Column(name, [row[index] for row in rows], name in whole) for index, name in enumerate(columns)
+            _Column(name, [row[index] for row in rows], name in whole, name in numbers)
+            for index, name in enumerate(columns)
         ]
 
     def leave_out(self, spare: Sequence[str], width: int) -> list[str]:
@@ -131,10 +138,10 @@ class _Layout:
 
 
 class _Column:
-    def __init__(self, name: str, values: Sequence[Value], whole: bool) -> None:
+    def __init__(self, name: str, values: Sequence[Value], whole: bool, numeric: bool) -> None:
         self.name = name
         self.texts = [shown(value) for value in values]
-        self.numeric = all(isinstance(value, int | float | None) for value in values)
+        self.numeric = numeric or all(isinstance(value, int | float | None) for value in values)
         self.firm = self.numeric or whole
         """Its text does not wrap."""
 

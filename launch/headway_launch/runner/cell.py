@@ -48,6 +48,14 @@ class SessionCell:
         names = self.config.study, self.config.env.id, experiment.algo_name
         self._cell = Cell(store, *names, cell_parameters(experiment))
 
+    @property
+    def evaluation_key(self) -> str:
+        """Identity of the episodes of the last evaluation and of the rules that are played on them."""
+        evaluation, episodes = self.config.evaluation, self.config.evaluation.last_episodes
+        return json.dumps(
+            [self.experiment.evaluated_env, evaluation.seed, episodes, self.experiment.rules], default=str
+        )
+
     def runs(self, planned: PlannedJob, shares: CoreShares) -> list[Run]:
         """Return the runs of a job, one per seed, newly created or resumed.
 
@@ -125,12 +133,9 @@ class SessionCell:
         if not self.plan.jobs and kept is not None:
             self.rules = kept
             return
-        evaluation = self.config.evaluation
-        episodes = evaluation.last_episodes
-        key = json.dumps(
-            [self.experiment.evaluated_env, evaluation.seed, episodes, self.experiment.rules], default=str
-        )
+        key = self.evaluation_key
         if key not in played:
+            episodes = self.config.evaluation.last_episodes
             played[key] = self._rule_rows(episodes) if self.experiment.rules else {}
         self.rules, self.touched = played[key], True
         self._cell.keep_rules(self.rules)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from headway.config.experiment import ExperimentConfig
+from headway.config.experiment import EvaluationConfig, ExperimentConfig
 from headway.contracts.errors import HeadwayError
 from headway.events import Row
 from headway.store.run_folder import RunRecord, Status, read_summary
@@ -15,7 +15,6 @@ from headway.wording import counted, environment_name
 from headway_launch.console.output import print_line
 from headway_launch.console.tables import Value, print_table, without_empty
 from headway_launch.experiments.start_line import start_line
-from headway_launch.runner.comparison import print_comparison
 
 if TYPE_CHECKING:
     from headway.store.session import Run
@@ -128,13 +127,8 @@ def _steps_per_second(run: "Run") -> float | None:
     return (steps[-1] - steps[0]) / max(times[steps[-1]] - times[steps[0]], 1e-9)
 
 
-def print_results(
-    config: ExperimentConfig, results: Sequence[SeedResult], rules: Mapping[str, Sequence[Row]]
-) -> None:
-    """Print the table of seeds and the comparison with the rules.
-
-    The table ends with mean and sample standard deviation over the finished seeds.
-    """
+def print_seeds(config: ExperimentConfig, results: Sequence[SeedResult]) -> None:
+    """Print the table of seeds, with mean and sample standard deviation over the finished ones."""
     if not results:
         return
     rows = [result.row for result in results]
@@ -146,11 +140,6 @@ def print_results(
     print_table(*without_empty(columns, rows, (CO2_HEADING,)), title, ("status",), _OPTIONAL)
     _print_notes(results)
     _print_unchanged(results, config.evaluation.modes)
-    if rules:
-        print()
-        print_comparison(
-            str(config.algo["name"]), _final_episodes(config.evaluation.modes[0], results), rules
-        )
     folders = [result.directory for result in results]
     metric = f"evaluation_{config.evaluation.modes[0]}/return"
     if line := start_line(str(config.algo["name"]), Path(config.store.root), folders, metric):
@@ -190,7 +179,8 @@ def _print_notes(results: Sequence[SeedResult]) -> None:
 
     rewarded = [result for result in results if result.summary.get("final_reward") is not None]
     if rewarded:
-        print_line(f"{_FINAL}: mean evaluation return over the last {FINAL_SHARE:.0%} of a run's steps")
+        steps = f"the last {FINAL_SHARE:.0%} of a run's steps"
+        print_line(f"{_FINAL}: mean evaluation return over {steps}, on the episodes of the curve")
     if without := len(rewarded) - len(_known(rewarded, "auc")):
         print_line(
             f"no AUC for {counted(without, 'run')}: fewer than {FEWEST_POINTS} evaluations "
@@ -261,22 +251,23 @@ def _estimated(results: Sequence[SeedResult]) -> bool:
     return any(result.summary.get("energy.cpu", "").startswith("est") for result in results)
 
 
-def _final_episodes(mode: str, results: Sequence[SeedResult]) -> list[list[Row]]:
-    """Return the last evaluation of each finished seed in a mode, seeds x episodes.
+def last_evaluation(evaluation: EvaluationConfig, results: Sequence[SeedResult]) -> list[list[Row]]:
+    """Return the last evaluation of each finished seed in the first mode, seeds x episodes.
 
-    Episodes are ordered by episode seed. Raises HeadwayError if a seed has none, because its log is damaged.
+    Episodes are ordered by episode seed. Raises HeadwayError if a seed lacks some, because its log is
+    damaged.
     """
     from headway.store.parquet_log import read_rows
 
-    played: list[list[Row]] = []
+    mode, played = evaluation.modes[0], list[list[Row]]()
     for result in results:
         if result.status != "FINISHED":
             continue
         rows = read_rows(result.directory, "evaluation")
         last = [row for row in rows if row["mode"] == mode and row.get("final")]
-        if not last:
+        if len(last) != evaluation.last_episodes:
             raise HeadwayError(
-                f"{result.directory}: there are no {mode} episodes of the last evaluation: a file "
+                f"{result.directory}: {mode} episodes of the last evaluation are missing: a file "
                 "evaluation-*.parquet is damaged or missing; train this seed again to compare it"
             )
         played.append(sorted(last, key=lambda row: int(row["episode_seed"])))

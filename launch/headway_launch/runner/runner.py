@@ -12,16 +12,24 @@ from typing import TYPE_CHECKING
 from headway.adapters.env_file import is_file_id
 from headway.config.experiment import ExperimentConfig
 from headway.contracts.errors import HeadwayError
+from headway.events import Row
 from headway.rollout.workers.usage import usable_cores
 from headway.store.session import SessionStore
-from headway.wording import counted
+from headway.wording import counted, environment_name
 from headway_launch.console.output import ignore_closed_pipe, own_name, print_line, relative
 from headway_launch.experiments.parameters import session_settings
 from headway_launch.runner.cell import Rules, SessionCell
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
+from headway_launch.runner.comparison import Comparison, mean_return, print_findings
 from headway_launch.runner.jobs import CellPlan, require_free_disk
 from headway_launch.runner.recorder import JobRecorder
-from headway_launch.runner.results import SeedResult, print_cells, print_results, run_summary
+from headway_launch.runner.results import (
+    SeedResult,
+    last_evaluation,
+    print_cells,
+    print_seeds,
+    run_summary,
+)
 from headway_launch.runner.scheduler import Scheduler
 from headway_launch.runner.session_energy import SessionEnergy
 from headway_launch.runner.session_job import SessionJob
@@ -174,13 +182,47 @@ class Runner:
     def _print(self) -> None:
         if len(self._cells) == 1:
             [cell] = self._cells
-            print_results(cell.config, cell.in_order(), cell.rules)
+            print_seeds(cell.config, cell.in_order())
         else:
             print_cells(
                 self._config.study,
                 [(cell.plan.label, len(cell.config.seed), cell.in_order()) for cell in self._cells],
                 {cell.config.evaluation.episodes for cell in self._cells},
             )
+        together: dict[str, list[SessionCell]] = {}
+        for cell in self._cells:
+            together.setdefault(cell.evaluation_key, []).append(cell)
+        for cells in together.values():
+            self._print_comparison(cells)
+
+    def _print_comparison(self, cells: Sequence[SessionCell]) -> None:
+        """Print the last evaluations of cells beside the rules, which played the same episodes."""
+        config, env = cells[0].config, cells[0].experiment.env
+        learned: dict[str, list[list[Row]]] = {}
+        rules: dict[str, list[Row]] = {}
+        for cell in cells:
+            try:
+                played = last_evaluation(cell.config.evaluation, cell.in_order())
+            except HeadwayError as error:
+                print_line(f"headway: {error}")
+                continue
+            if played:
+                learned[cell.plan.label or cell.experiment.algo_name] = played
+                rules |= cell.rules
+        if not learned or not rules:
+            return
+        own, count = config.evaluation.episodes, config.evaluation.last_episodes
+        kind = f"{environment_name(config.env.id)}, {config.evaluation.modes[0]}"
+        title = f"last evaluation: {counted(count, 'episode')} of {kind}"
+        best_first = sorted(learned.items(), key=lambda each: -mean_return(each[1]))
+        comparison = Comparison.of(title, env.metrics, rules, dict(best_first))
+        print()
+        comparison.show()
+        others = f" and {counted(count - own, 'other')}" if count > own else ""
+        print_line(
+            f"last evaluation: final policies and rules on the curve's {counted(own, 'episode')}{others}"
+        )
+        print_findings(comparison, learned, rules)
 
     def _print_summary(self, seconds: float) -> None:
         root, study = self._config.store.root, shlex.quote(self._config.study)
@@ -192,10 +234,8 @@ class Runner:
             print_line(
                 f"{seconds:.0f} s; run folders in {where}; view them with: {own_name()} browse{option}"
             )
-        if len(self._cells) > 1 and any(cell.rules for cell in self._cells):
-            environments = {repr(cell.experiment.evaluated_env) for cell in self._cells}
-            command = "compare" if len(environments) == 1 else "report"
-            print_line(f"compare with the rules, with intervals: {own_name()} {command} {study}{option}")
+        if any(cell.rules for cell in self._cells):
+            print_line(f"all metrics, curves and costs on one page: {own_name()} report {study}{option}")
         if left := self.left_to_others():
             print_line(f"headway: {counted(len(left), 'run')} left to other sessions, not in this table")
         recorders = [job.recorder for job in self._jobs if job.recorder is not None]

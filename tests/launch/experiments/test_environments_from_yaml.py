@@ -266,7 +266,7 @@ def test_cells_with_different_training_environments_are_compared(monkeypatch: py
     assert "episodes played: 12 of 12 (" in notices  # two rules and four seeds
     assert "episodes played" not in shown
     rows = [line.split("\t") for line in shown.splitlines() if "\t" in line]
-    cells = [row[1] for row in rows[1:6] if not row[1].startswith("rule ")]
+    cells = [row[0] for row in rows[1:6] if not row[0].startswith("rule ")]
     assert len(cells) == 3
     assert any("env.training_args.steps=9" in cell for cell in cells)
     assert sum("clip_reward_v0" in cell for cell in cells) == 1

@@ -1,76 +1,109 @@
 import sys
+from collections.abc import Sequence
 
 import pytest
 
 from headway.events import Row
 from headway.stats.intervals import paired_difference, paired_difference_over_seeds
-from headway_launch.runner.comparison import gap_lines, print_comparison
+from headway_launch.runner.comparison import Comparison, gap_lines, print_findings
 
 
 def episodes(*returns: float) -> list[Row]:
     return [{"episode_seed": seed, "return": value, "wait": value / 2} for seed, value in enumerate(returns)]
 
 
-def printed(capsys: pytest.CaptureFixture[str]) -> dict[str, list[str]]:
-    """Return the printed cells of each metric, one per controller."""
-    lines = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
-    return {metric: cells for metric, *cells in lines}
+def compared(learned: Sequence[Sequence[Row]], **rules: list[Row]) -> Comparison:
+    return Comparison.of("", {}, rules, {"ippo": learned} if learned else {})
 
 
-def test_one_seed_is_paired_by_episode(capsys: pytest.CaptureFixture[str]) -> None:
-    print_comparison("ippo", [episodes(3.0, 5.0, 4.0)], {"hold": episodes(1.0, 2.0, 3.0)})
-    shown = printed(capsys)
+def test_one_seed_is_paired_by_episode() -> None:
+    found = compared([episodes(3.0, 5.0, 4.0)], hold=episodes(1.0, 2.0, 3.0))
     expected = paired_difference([3.0, 5.0, 4.0], [1.0, 2.0, 3.0])
-    assert shown.pop("metric") == ["ippo", "rule hold"]
-    assert [cells[0] for cells in shown.values()] == ["3", "4", "", "", "", "", "2"]
-    rule = {metric: cells[1] for metric, cells in shown.items()}
-    assert (rule.pop("interval"), rule.pop("wait")) == ("t over episodes", "1")
-    expected_cells = [3, 2.0, expected.estimate, expected.low, expected.high]
-    assert [float(cell) for cell in rule.values()] == pytest.approx(expected_cells, rel=1e-5)
+    interval = (expected.estimate, expected.low, expected.high, "t over episodes")
+    assert found.rows == [
+        ("return", "ippo", 1, 4.0, *interval),
+        ("return", "rule hold", None, 2.0, None, None, None, None),
+        ("wait", "ippo", 1, 2.0, None, None, None, None),
+        ("wait", "rule hold", None, 1.0, None, None, None, None),
+    ]
 
 
-def test_several_seeds_are_compared_over_seeds_and_episodes(capsys: pytest.CaptureFixture[str]) -> None:
-    print_comparison("ippo", [episodes(3.0, 5.0), episodes(2.0, 2.0)], {"hold": episodes(1.0, 2.0)})
-    shown = printed(capsys)
+def test_several_seeds_are_compared_over_seeds_and_episodes() -> None:
+    found = compared([episodes(3.0, 5.0), episodes(2.0, 2.0)], hold=episodes(1.0, 2.0))
     expected = paired_difference_over_seeds([[3.0, 5.0], [2.0, 2.0]], [[1.0, 2.0], [1.0, 2.0]])
-    assert [shown[name][0] for name in ("metric", "episodes", "return")] == ["ippo, 2 seeds", "2", "3"]
-    cells = [float(shown[name][1]) for name in ("learner minus rule", "95% low", "95% high")]
-    assert cells == pytest.approx([expected.estimate, expected.low, expected.high], rel=1e-5)
-    assert shown["interval"][1] == "t over seeds and episodes"
+    interval = (expected.estimate, expected.low, expected.high, "t over seeds and episodes")
+    assert found.rows[0] == ("return", "ippo", 2, 3.0, *interval)
 
 
-@pytest.mark.parametrize(("seeds", "warning"), [(1, "1 seed: "), (9, "9 seeds: "), (10, "")])
-def test_few_seeds_print_a_warning(seeds: int, warning: str, capsys: pytest.CaptureFixture[str]) -> None:
-    print_comparison("ippo", [episodes(3.0, 5.0)] * seeds, {"hold": episodes(1.0, 2.0)})
-    shown = capsys.readouterr().err
-    assert shown.startswith(warning)
-    assert ("train at least 10" in shown) == bool(warning)
+@pytest.mark.parametrize(
+    ("returns", "seeds", "answer"),
+    [
+        # Student's t is 12.706 for two episodes: differences of -1 and 1 have an interval of 0 +- 12.706.
+        ([8.0, 14.0], 1, "ippo, 1 seed, does not differ significantly from {hold}: +0 [95%: -13, 13]"),
+        ([19.0, 23.0], 2, "ippo, mean of 2 seeds, is 10 above {hold} [95%: 10, 10]"),
+        ([19.0, 23.0], 10, "ippo, mean of 10 seeds, beats {hold}, by 10 [95%: 10, 10]"),
+        ([-1.0, 3.0], 10, "ippo, mean of 10 seeds, is 10 below {hold} [95%: -10, -10]"),
+        ([19.0], 2, "ippo, mean of 2 seeds, is 10 above {hold}"),
+    ],
+)
+def test_the_answer_is_one_sentence(returns: list[float], seeds: int, answer: str) -> None:
+    count = len(returns)
+    rules = {"move": episodes(*[-5.0] * count), "hold": episodes(*[9.0, 13.0][:count])}
+    found = compared([episodes(*returns)] * seeds, **rules)
+    assert found.answer == f"return: {answer.format(hold='the best rule, hold')}"
+    assert [row[0] for row in found.cells] == ["ippo", "rule hold", "rule move"]
+    assert found.headings == ["controller", "seeds", "return", "minus hold" + " [95%]" * (count > 1), "wait"]
+    alone = compared([episodes(*returns)] * seeds, hold=rules["hold"])
+    assert alone.answer == f"return: {answer.format(hold='the rule hold')}"
+    assert compared([], **rules).answer is compared([episodes(*returns)]).answer is None
 
 
-@pytest.mark.parametrize(("count", "told"), [(19, True), (20, False)])
-def test_few_episodes_print_a_warning(count: int, told: bool, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("seeds", "count", "lines"),
+    [
+        (1, 20, ["1 seed: the interval is over episodes of one policy"]),
+        (9, 20, ["9 seeds: "]),
+        (10, 20, []),
+        (10, 19, ["19 episodes: the intervals assume"]),
+        (1, 1, ["1 episode: no intervals, which need two"]),
+    ],
+)
+def test_few_seeds_and_episodes_are_named(
+    seeds: int, count: int, lines: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     returns = [float(number % 3) for number in range(count)]
-    print_comparison("ippo", [episodes(*returns)] * 10, {"hold": episodes(*returns[::-1])})
-    assert ("play at least 20 before claiming" in capsys.readouterr().err) == told
+    learned, rules = [episodes(*returns)] * seeds, {"hold": episodes(*returns[::-1])}
+    print_findings(compared(learned, **rules), {"ippo": learned}, rules)
+    _, *printed = capsys.readouterr().err.splitlines()
+    assert len(printed) == len(lines)
+    assert all(map(str.startswith, printed, lines))
 
 
-def test_episodes_that_do_not_pair_give_no_interval(capsys: pytest.CaptureFixture[str]) -> None:
-    print_comparison("ippo", [episodes(3.0, 5.0, 4.0)], {"hold": episodes(1.0, 2.0)})
-    shown = printed(capsys)
-    assert [shown[name][1] for name in ("learner minus rule", "95% low", "95% high")] == ["", "", ""]
-
-
-def test_a_narrow_terminal_has_whole_names_of_metrics_and_fewer_rules(
+def test_a_narrow_terminal_has_whole_names_of_rules_and_fewer_metrics(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rules = {f"hold_for_{seconds}": [{**row, "trip_time_spread_min": 1.0} for row in episodes(seconds, 2.0)]
-             for seconds in (10, 20, 30, 40)}  # fmt: skip
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "60")
-    print_comparison("ippo", [], rules)
+    compared([episodes(3.0, 5.0)], headway_holding_90=episodes(1.0, 2.0)).show()
     shown = capsys.readouterr().out
-    assert " trip_time_spread_min " in shown
-    assert "columns omitted on this narrow terminal: rule hold_for_10" in shown
+    assert " rule headway_holding_90 " in shown
+    assert "columns omitted on this narrow terminal: wait" in shown
+
+
+def test_a_piped_table_has_numbers_only(capsys: pytest.CaptureFixture[str]) -> None:
+    compared([episodes(3.0, 5.0)], hold=episodes(1.0, 2.0)).show()
+    assert [line.split("\t") for line in capsys.readouterr().out.splitlines()] == [
+        ["controller", "seeds", "return", "minus hold", "95% low", "95% high", "wait"],
+        ["ippo", "1", "4", "2.5", "-3.8531", "8.8531", "2"],
+        ["rule hold", "", "1.5", "", "", "", "0.75"],
+    ]
+
+
+def test_the_first_metrics_of_all_episodes_are_shown() -> None:
+    row = {"mode": "greedy", "length": 9, "return": 1.0, "a_min": 1.0, "b": 1.0, "c": 2.0, "d": 0.0, "e": 1.0}
+    rules: dict[str, list[Row]] = {"hold": [row, row], "move": [row, {**row, "b": None}]}
+    shown = {"return": "return", "a_min": "a, min", "c": "c", "d": "d"}
+    assert Comparison.of("", {"a_min": "time, minutes"}, rules, {}).metrics == shown
 
 
 def test_lookahead_is_a_reference_and_not_the_best_rule() -> None:
@@ -111,9 +144,10 @@ def test_without_lookahead_or_another_rule_there_is_no_gap() -> None:
     assert gap_lines({"ippo": 310.0}, {"hold": [300.0]}) == gap_lines({}, {"lookahead": [3.0]}) == []
 
 
-def test_the_share_of_the_gap_is_printed_if_episodes_pair(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_share_of_the_gap_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     rules = {"hold": episodes(1.0, 3.0), "lookahead": episodes(5.0, 7.0)}
-    print_comparison("ippo", [episodes(3.0, 3.0), episodes(3.0, 3.0)], rules)
+    learned = [episodes(3.0, 3.0), episodes(3.0, 3.0)]
+    found = compared(learned, **rules)
+    assert found.reference == "hold"
+    print_findings(found, {"ippo": learned}, rules)
     assert ": 4 (95% interval 4 to 4); of this gap, ippo closes 25%" in capsys.readouterr().err
-    print_comparison("ippo", [episodes(3.0, 3.0, 3.0), episodes(3.0, 3.0)], rules)
-    assert "gap" not in capsys.readouterr().err

@@ -89,7 +89,10 @@ def test_a_curve_of_two_points_has_no_area(
     assert result.summary["auc"] == (None if area is None else pytest.approx(area))
     assert result.summary["final_reward"] is not None
     print_cells("study", [("ippo", 1, [result])], {2})
-    definition = "final reward: mean evaluation return over the last 20% of a run's steps\n"
+    definition = (
+        "final reward: mean evaluation return over the last 20% of a run's steps, on the episodes of the "
+        "curve\n"
+    )
     line = (
         "no AUC for 1 run: fewer than 3 evaluations (one per evaluation.every steps, at most one per "
         "iteration)\n"

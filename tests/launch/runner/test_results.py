@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from headway.config.experiment import EvaluationConfig
 from headway.contracts import HeadwayError
 from headway.store.parquet_log import RunLog
 from headway.store.run_folder import Process, RunRecord, now
-from headway_launch.runner.results import SeedResult, _final_episodes, _print_unchanged
+from headway_launch.runner.results import SeedResult, _print_unchanged, last_evaluation
 
 
 def _result(directory: Path) -> SeedResult:
@@ -52,6 +53,6 @@ def test_a_finished_seed_without_last_episodes_is_named(tmp_path: Path) -> None:
     log.commit(1)
     result = _result(tmp_path)
     with pytest.raises(
-        HeadwayError, match=f"^{tmp_path}: there are no greedy episodes of the last evaluation"
+        HeadwayError, match=f"^{tmp_path}: greedy episodes of the last evaluation are missing"
     ):
-        _final_episodes("greedy", [result])
+        last_evaluation(EvaluationConfig(), [result])

@@ -17,7 +17,6 @@ import psutil
 import pytest
 from command_lines import failed, output, refused
 from small_runs import SMALL, stored_rows
-from stored_runs import keep_run
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, IterationFinished
@@ -100,9 +99,10 @@ def test_a_run_ends_with_a_table_and_is_in_the_store(empty_folder: Path) -> None
     assert table[0][:4] == ["seed", "status", "final reward (1 episode)", "AUC (own range)"]
     assert [row[:2] for row in table[1:3]] == [["3", "FINISHED"], ["4", "FINISHED"]]
     assert [row[0] for row in table[3:5]] == ["mean", "std"]
-    of_rule = {row[0]: row[-1] for row in table[6:]}
-    assert (of_rule["metric"], of_rule["episodes"]) == ("rule optimal", "2")
-    assert float(of_rule["return"]) == 20.0
+    of_rule = dict(zip(table[6], table[8], strict=True))
+    assert (of_rule["controller"], of_rule["return"]) == ("rule optimal", "20")
+    assert "final policies and rules on the curve's 1 episode and 1 other\n" in shown.err
+    assert "\nreturn: ippo, mean of 2 seeds, " in shown.err
     assert "headway browse" in shown.err
     assert "of the training processes'" not in shown.err  # too short for a store share
     assert [(row.seed, row.status, row.env_steps) for row in stored_rows(empty_folder)] == [
@@ -118,32 +118,16 @@ def test_the_share_of_the_store_is_stated_for_long_trainings() -> None:
     assert store_share([long, long], 2.0).startswith("storage took 1.0% of 400 s of training, summed over ")
 
 
-@pytest.mark.parametrize(
-    ("words", "command"),
-    [("env.training_args.effort=0.5", "compare"), ("env.wrappers=[{name:clip_reward_v0}]", "report")],
-)
 def test_the_next_commands_can_be_pasted(
-    words: str,
-    command: str,
-    empty_folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    empty_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`compare` takes cells of one evaluation environment only."""
     monkeypatch.setattr(SessionCell, "training_job", _training_job)
-    common = ("env=tracking", "algo=ippo", *SMALL, "evaluation.rules=[random]", "seed=1", "study='my lines'")
-    experiments = [compose(common), compose([*common, words])]
-    finished = Path(
-        "runs", "toys", keep_run(Path("runs"), experiments[0], 0, "FINISHED", 1, final_reward=3.0)
-    )
-    cells = [
-        CellPlan(each, plan_jobs(each), (finished,), label=f"cell {number}")
-        for number, each in enumerate(experiments)
-    ]
-    assert Runner(cells, plan_kept=True).run() == 2
+    words = ("env=tracking", "algo=ippo", *SMALL, "evaluation.rules=[random]", "seed=1", "study='my lines'")
+    experiment = compose(words)
+    assert Runner([CellPlan(experiment, plan_jobs(experiment))], plan_kept=True).run() == 2
     told = capsys.readouterr().err
-    first, second = (shlex.split(line) for line in re.findall(r"(?:intervals|is fixed): (.*)", told))
-    assert first[1:] == [command, "my lines"]
+    first, second = (shlex.split(line) for line in re.findall(r"(?:on one page|is fixed): (.*)", told))
+    assert first[1:] == ["report", "my lines"]
     assert second[1:] == ["resume", "--study", "my lines"]
 
 

@@ -78,11 +78,10 @@ def test_the_best_policy_is_played_and_exported_in_the_place_of_the_newest() -> 
     assert abs(mean - np.mean([float(row["return"]) for row in others])) > 1e-3
 
     rows = rows_of("evaluate", name, "--best", "--episodes", "3", "--rules", "random")
-    evaluated = {row[0]: row[1] for row in rows}
-    assert evaluated["metric"].endswith("greedy, best policy (iteration 2)")
-    assert float(evaluated["return"]) == pytest.approx(mean, rel=1e-4)
+    assert rows[1][0].endswith(", best policy (iteration 2)")
+    assert float(rows[1][2]) == pytest.approx(mean, rel=1e-4)
     asked = ["compare", stored.record.study, "--best", "--episodes", "3", "--rules", "random"]
-    learner = json.loads(output(*asked, "--format", "json").out)[1]
+    learner = json.loads(output(*asked, "--format", "json").out)[0]
     assert learner["controller"].endswith(", best policies")
     assert learner["mean"] == pytest.approx(mean, rel=1e-6)
     assert "best policy, of iteration 2" in output("export", name, "--best").err
