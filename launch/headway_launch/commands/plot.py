@@ -66,7 +66,7 @@ def execute(arguments: argparse.Namespace) -> int:
     remark = " (lower is better)" if arguments.lower_is_better else ""
     group, _, column = metric.rpartition("/")
     name = readable_metric(column, metric_descriptions(runs).get(column, ""))
-    label = f"{group.replace('_', ' ')}: {name}{remark}"
+    label = f"{group.removeprefix('evaluation_')}: {name}{remark}"
     figure = plots.learning_curves(
         means,
         {} if arguments.no_rules else rules_beside(runs, metric),

@@ -55,6 +55,8 @@ _NAME_LENGTH = 44
 _DOTS_PER_INCH = 150
 _SHADE, _SHADES = 0.18, 1.1
 """Opacity of one interval's band, and the sum over all bands of a panel."""
+_LEAST_SPAN = 0.1
+"""Least span of an axis of costs, relative to its middle, so that noise does not look like a difference."""
 _MOST_OVERLAP = 3.0
 """Mean widths of a panel's intervals, summed, over the range of its curves: up to this they are shaded bands;
 more would overlap to one grey surface, and are outlined."""
@@ -524,7 +526,7 @@ def reward_against_cost(
         for name, of_name in by_name.items():
             colour, spent = styles[name]["color"], of_name[cost] * factor
             marker = _MARKERS[_LINE_STYLES.index(styles[name]["linestyle"])]
-            ring: dict[str, Any] = {"s": 110, "facecolors": "none", "edgecolors": colour, "linewidths": 2}
+            ring: dict[str, Any] = {"s": 70, "facecolors": "none", "edgecolors": colour, "linewidths": 2}
             ring["marker"] = marker
             mean = (spent.mean(), of_name["score"].mean())
             if name in excluded:
@@ -534,6 +536,10 @@ def reward_against_cost(
             axes.scatter(*mean, label=name, **ring)
         if len(tasks) > 1:
             axes.set_title(task, loc="left", fontsize="medium")
+        low, high = axes.get_xlim()
+        middle = (low + high) / 2
+        half = max(high - low, _LEAST_SPAN * middle) / 2
+        axes.set_xlim(middle - half, middle + half)
         _style_axes(axes, *labels)
         axes.yaxis.set_major_formatter(_THOUSANDS)
     _legends_beside(figure, panels)

@@ -77,7 +77,7 @@ def test_a_bare_name_is_a_metric_of_the_greedy_evaluation(tmp_path: Path) -> Non
     _keep_seed(tmp_path, 0, "evaluation_greedy/wait", {0: 2.0, 4: 1.0})
     words = ["plot", "apart", "--store", str(tmp_path), "--output", str(tmp_path / "drawn.svg")]
     assert run([*words, "--metric", "wait"]) == 0
-    assert "evaluation greedy: wait" in (tmp_path / "drawn.svg").read_text()
+    assert "greedy: wait" in (tmp_path / "drawn.svg").read_text()
     assert "did you mean evaluation_greedy/wait?" in refused(*words, "--metric", "wiat")
     absent = ("--metric", "wait", "--output", str(tmp_path / "absent" / "x.png"))
     assert "absent/x.png cannot be written" in refused(*words, *absent)
@@ -140,7 +140,7 @@ def test_of_a_study_the_cells_that_are_wanted_are_drawn_and_rules_can_be_left_ou
     monkeypatch.setattr(plots, "learning_curves", keep)
     words = ["plot", "study", "--store", str(tmp_path), "--output", str(tmp_path / "drawn.png")]
     assert run([*words, "--where", "algorithm=mappo", "--no-rules"]) == 0
-    axis = "evaluation greedy: return"
+    axis = "greedy: return"
     assert drawn == [(["mappo"], {}, axis, 1, "study: one seed")]
     assert run([*words, "--where", "algorithm=mappo", "--lower-is-better"]) == 0
     assert drawn[1][2:4] == (f"{axis} (lower is better)", -1)

@@ -94,6 +94,15 @@ def test_plots_of_twelve_cells_with_long_names_are_readable(kind: str) -> None:
     _assert_readable(figure)
 
 
+@pytest.mark.parametrize(("costs", "least"), [((2.70, 2.73), 0.27), ((1.0, 3.0), 2.0), ((0.0, 0.0), 0.0)])
+def test_equal_costs_do_not_fill_the_axis(costs: tuple[float, float], least: float) -> None:
+    runs = pd.DataFrame({"task": "t", "controller": ["a", "b"], "score": 1.0, "kwh": costs})
+    [axes] = reward_against_cost(runs, "kwh", 1.0, ("kWh", "reward"), colours(["a", "b"])).axes
+    low, high = axes.get_xlim()
+    assert high - low >= least
+    assert low <= min(costs) <= max(costs) <= high
+
+
 def _curve(seeds: int) -> Figure:
     points = {"env_steps": [0, 10], "mean": [0.0, 4.0], "low": [-1.0, 3.0], "high": [1.0, 5.0]}
     means = pd.DataFrame({"task": "t", "controller": "mappo", "runs": seeds, **points})
