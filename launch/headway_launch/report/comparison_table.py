@@ -52,9 +52,9 @@ def comparison_table(comparison: Comparison, note: str = "") -> Table:
     learners = sum(not name.startswith("rule ") for name in comparison.controllers)
     return Table(
         "comparison",
-        f"{comparison.title}. Differences from the rule `{comparison.reference}`, paired by episode, with 95% "
-        "intervals (Student's t). Intervals of several seeds cover the variation between seeds and between "
-        "episodes, those of one seed or of a rule only that between episodes." + note,
+        f"{comparison.title}. Differences from the rule `{comparison.reference}`, paired by episode, with "
+        "95% intervals (Student's t). Intervals of several seeds cover the variation between seeds and "
+        "between episodes, those of one seed or of a rule only that between episodes." + note,
         comparison.headings,
         cells,
         emphasised=frozenset(range(learners, len(cells))),

@@ -200,7 +200,7 @@ class Comparison:
     def _decimals(self) -> dict[str, int]:
         """Decimals of each metric that show two significant digits of its narrowest interval.
 
-        One more if an end that is not 0 would be shown as 0, so that one sees whether the interval excludes 0.
+        One more if an end that is not 0 would be shown as 0, which hides whether the interval excludes 0.
         """
         found = defaultdict[str, list[tuple[float, float]]](list)
         for row in self.rows:

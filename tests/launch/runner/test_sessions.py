@@ -17,6 +17,7 @@ import psutil
 import pytest
 from command_lines import failed, output, refused
 from small_runs import SMALL, stored_rows
+from stored_runs import keep_run
 
 from headway.contracts.errors import HeadwayError
 from headway.events import Event, IterationFinished
@@ -124,7 +125,8 @@ def test_the_next_commands_can_be_pasted(
     monkeypatch.setattr(SessionCell, "training_job", _training_job)
     words = ("env=tracking", "algo=ippo", *SMALL, "evaluation.rules=[random]", "seed=1", "study='my lines'")
     experiment = compose(words)
-    assert Runner([CellPlan(experiment, plan_jobs(experiment))], plan_kept=True).run() == 2
+    finished = Path("runs", "toys", keep_run(Path("runs"), experiment, 0, "FINISHED", 1, final_reward=3.0))
+    assert Runner([CellPlan(experiment, plan_jobs(experiment), (finished,))], plan_kept=True).run() == 2
     told = capsys.readouterr().err
     first, second = (shlex.split(line) for line in re.findall(r"(?:on one page|is fixed): (.*)", told))
     assert first[1:] == ["report", "my lines"]
