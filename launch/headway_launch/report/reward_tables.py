@@ -87,7 +87,7 @@ def _training_notes(data: StudyData) -> list[str]:
 
 
 def _too_short(data: StudyData) -> list[str]:
-    """Return a note on curves that are too short for an AUC by their own range."""
+    """Return a note on curves that are too short for an AUC."""
     causes = []
     for name, metrics in _curves(data).items():
         if short := int((metrics["auc_own"].isna() & metrics["final_reward"].notna()).sum()):
@@ -98,8 +98,8 @@ def _too_short(data: StudyData) -> list[str]:
     if not causes:
         return []
     return [
-        f"A curve with fewer than {FEWEST_POINTS} points gets no AUC by its own range, because it would be "
-        "0.5 whatever the run learned; means are over the remaining runs. This applies to "
+        f"A curve with fewer than {FEWEST_POINTS} points gets no AUC: by its own range it would be 0.5 "
+        "whatever the run learned; means are over the remaining runs. This applies to "
         f"{' and '.join(causes)}."
     ]
 

@@ -30,11 +30,11 @@ def auc(
     """Return the area under the min-max-normalised curve over its span of steps, by the trapezoid rule.
 
     Without bounds, the curve's own minimum and maximum become 0 and 1: per-run normalisation, as published.
-    This area, in [0, 1], measures how early a run learns, not how well. It is NaN for fewer than
-    `FEWEST_POINTS` points and 0.5, by definition, for a flat curve.
+    This area, in [0, 1], measures how early a run learns, not how well. It is 0.5, by definition, for a flat
+    curve.
 
     With study-wide bounds `low` and `high` (see `value_range`) runs can be ranked. Values outside the bounds
-    are not clipped, and the area of a single point is its normalised value.
+    are not clipped. Either area is NaN for fewer than `FEWEST_POINTS` points.
 
     Raises ValueError for an empty curve, steps that do not increase, a single bound, and `low` not below
     `high`.
@@ -42,17 +42,15 @@ def auc(
     steps, curve = _curve(env_steps, values)
     if (low is None) != (high is None):
         raise ValueError("give both low and high, or neither")
+    if len(curve) < FEWEST_POINTS:
+        return float("nan")
     if low is None or high is None:
-        if len(curve) < FEWEST_POINTS:
-            return float("nan")
         low, high = float(curve.min()), float(curve.max())
         if low == high:
             return 0.5
     elif not low < high:
         raise ValueError(f"low {low} must be below high {high}")
     scaled = (curve - low) / (high - low)
-    if len(steps) == 1:
-        return float(scaled[0])
     return float(np.trapezoid(scaled, steps) / (steps[-1] - steps[0]))
 
 

@@ -33,10 +33,10 @@ _COSTS = ("kwh", "cpu_kwh", "gpu_kwh", "ram_kwh", "kg_co2", "cpu_seconds")
 def curve_metrics(curves: pd.DataFrame) -> pd.DataFrame:
     """Return the metrics of each run's curve, indexed by `run_id`.
 
-    Columns: `controller`, `task`, `final_reward`, `auc_own` (normalised by the run's own range, as published;
-    NaN for fewer than `FEWEST_POINTS` points) and `auc_study` (normalised by the range of all curves of the
-    task, for ranking; 0.5 if that range is a single value). Raises ValueError for a curve whose steps do not
-    increase.
+    Columns: `controller`, `task`, `final_reward`, `auc_own` (normalised by the run's own range, as published)
+    and `auc_study` (normalised by the range of all curves of the task, for ranking; 0.5 if that range is a
+    single value), both NaN for fewer than `FEWEST_POINTS` points. Raises ValueError for a curve whose steps
+    do not increase.
     """
     rows = []
     for task, of_task in curves.groupby("task", sort=False):
@@ -50,7 +50,7 @@ def curve_metrics(curves: pd.DataFrame) -> pd.DataFrame:
                     "task": task,
                     "final_reward": final_reward(steps, values),
                     "auc_own": auc(steps, values),
-                    "auc_study": auc(steps, values, low, high) if low < high else 0.5,
+                    "auc_study": auc(steps, values, *((low, high) if low < high else ())),
                 }
             )
     columns = ["run_id", "controller", "task", "final_reward", "auc_own", "auc_study"]

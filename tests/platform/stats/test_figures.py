@@ -51,14 +51,14 @@ def test_auc_of_known_shapes() -> None:
     assert auc([0, 5, 10], [-5, 0, 5]) == 0.5
     assert auc([0, 1, 10], [0, 1, 1]) == pytest.approx((0.5 + 9) / 10)
     assert auc([5, 6, 15], [3, 3, 3]) == 0.5  # flat, by definition
-    assert auc([0, 10], [2, 2], low=0, high=8) == 0.25
-    assert auc([4], [6], low=0, high=8) == 0.75
+    assert auc([0, 1, 10], [2, 2, 2], low=0, high=8) == 0.25
 
 
 @pytest.mark.parametrize("values", [[3], [3, 3], [-5, 5], [5, -5]])
 def test_the_own_range_area_of_two_points_is_nan(values: list[float]) -> None:
     """Otherwise it would always be 0.5."""
     assert np.isnan(auc([10, 20][: len(values)], values))
+    assert np.isnan(auc([10, 20][: len(values)], values, low=0, high=8))
 
 
 def test_auc_does_not_change_with_scale_or_shift() -> None:
@@ -75,7 +75,7 @@ def test_auc_does_not_change_with_scale_or_shift() -> None:
         ([0, 0], [1, 2], {}, "increase"),
         ([0, 1], [1, np.nan], {}, "finite"),
         ([0, 1], [1, 2], {"low": 0.0}, "both"),
-        ([0, 1], [1, 2], {"low": 2.0, "high": 2.0}, "below"),
+        ([0, 1, 2], [1, 2, 3], {"low": 2.0, "high": 2.0}, "below"),
     ],
 )
 def test_impossible_curves_are_refused(

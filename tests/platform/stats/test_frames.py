@@ -39,7 +39,7 @@ def test_both_areas_of_a_curve_by_hand() -> None:
 
 
 def test_areas_of_constant_curves_are_half() -> None:
-    assert frames.curve_metrics(curves(a_0=[3, 3]))["auc_study"].tolist() == [0.5]
+    assert frames.curve_metrics(curves(a_0=[3, 3, 3]))["auc_study"].tolist() == [0.5]
 
 
 def test_mean_curves_have_t_intervals_at_common_steps() -> None:
