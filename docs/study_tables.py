@@ -43,20 +43,24 @@ def rewritten(page: str, output: Callable[[list[str]], str | None]) -> str:
     return BLOCK.sub(block, page)
 
 
-def search_table(printed: str) -> str:
+def search_table(printed: str) -> str | None:
     """Return, as one Markdown table, the expected best of n candidates and the cost of a search.
 
-    `printed` is what `headway search SEARCH --show` prints: tables with tabs between their cells, one blank
-    line between two tables.
+    None if not all algorithms have scores. `printed` is what `headway search SEARCH --show` prints: tables
+    with tabs between their cells, one blank line between two tables.
     """
-    _, spent, best, *_ = ([line.split("\t") for line in part.splitlines()] for part in printed.split("\n\n"))
-    rows = [row for row in best if len(row) > 1]
+    _, spent, *best = ([line.split("\t") for line in part.splitlines()] for part in printed.split("\n\n"))
+    rows = [row for part in best[:1] for row in part if len(row) > 1]
+    if not rows or len(rows[0]) != len(spent):
+        return None
     costs = [[name, *map(_short, column)] for name, *column in zip(*spent, strict=True) if name in COSTS]
     lines = [f"| {' | '.join(row)} |" for row in (*rows, *costs)]
     return "\n".join([lines[0], f"| --- |{' ---: |' * (len(rows[0]) - 1)}", *lines[1:]])
 
 
 def _short(cell: str) -> str:
+    if not cell:
+        return "-"
     number = float(cell)
     return f"{number:,.0f}" if number >= 100 else f"{number:.2g}"
 

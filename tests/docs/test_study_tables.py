@@ -77,6 +77,7 @@ def test_the_table_of_a_search_is_the_expected_best_of_n_with_its_cost() -> None
         "| CPU s | 1,367 | 23 |",
         "| kWh | 0.00046 | 0.00079 |",
     ]
+    assert search_table(SEARCHED.rpartition("\n\n")[0]) is None
     assert studies_of("<!-- headway search merge --show -->\n<!-- end -->\n") == []
 
 

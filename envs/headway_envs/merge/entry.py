@@ -21,7 +21,7 @@ RULES: dict[str, RuleEntry] = {
         internal=True,
     ),
     "idm_mobil_actions": RuleEntry(
-        "takes the action closest to what IDM and MOBIL would do; policies can start from it",
+        "takes the action closest to IDM, one second ahead, and MOBIL; policies can start from it",
         Lazy("headway_envs.merge.rules:HumanActions"),
     ),
     "random": RANDOM,

@@ -59,9 +59,9 @@ a cell with one seed, over training seeds and episodes for a cell with several. 
 rule with the highest mean return. Pairs of learners, of different studies if several are named, are compared
 by the first metric: paired by episode but not by seed, with an interval and a p-value over the seeds of both
 and the episodes. p (Holm) is corrected for the number of pairs; --where selects fewer.
-Tables, also in markdown and latex (for the package booktabs), have one row per controller or pair and round
-the numbers of a metric to two significant digits of its narrowest interval; piped, they have six digits. csv
-and json have all digits and one row per difference. `headway list metrics ENVIRONMENT` describes the metrics.
+Tables, also in markdown and latex (for the package booktabs), have one row per controller, rounded to two
+significant digits of a metric's narrowest interval, and one per pair; piped, they have six digits. csv and
+json have all digits and one row per difference. `headway list metrics ENVIRONMENT` describes the metrics.
 """
 
 
@@ -232,7 +232,11 @@ def _print_tables(found: Comparison, pairs: Sequence[PairRow], line: str) -> Non
 
     found.show()
     if pairs:
-        print_table(PAIR_COLUMNS, list(map(pair_values, pairs)), title="pairs of learners")
+        if sys.stdout.isatty():
+            table = pairs_table(pairs, "pairs", "")
+            print_table(table.headings, table.rows, title="pairs of learners")
+        else:
+            print_table(PAIR_COLUMNS, list(map(pair_values, pairs)))
         print_line(pairs_note(pairs))
 
 

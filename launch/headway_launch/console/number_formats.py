@@ -1,6 +1,7 @@
 """Numbers as text: with their deviation or interval, to the digits that these support."""
 
 import math
+from collections.abc import Iterable
 
 MISSING = "\N{EN DASH}"
 _DIGITS = 4
@@ -39,8 +40,20 @@ def with_interval(estimate: float, low: float, high: float, sign: str = "") -> s
         return MISSING
     if not (math.isfinite(low) and math.isfinite(high)):
         return formatted(estimate, _decimals(0.0, estimate), sign)
-    decimals = _decimals(high - low, estimate)
+    decimals = with_ends(_decimals(high - low, estimate), (low, high))
     return f"{formatted(estimate, decimals, sign)} [{formatted(low, decimals)}, {formatted(high, decimals)}]"
+
+
+def with_ends(decimals: int, ends: Iterable[float]) -> int:
+    """Return the decimals, at least `decimals`, with which none of the ends of intervals is rounded to 0.
+
+    An end of 0 hides whether the interval excludes 0. At most three more; the end may be 0 itself.
+    """
+    shown = [abs(end) for end in ends if end]
+    return next(
+        (more for more in range(decimals, decimals + 3) if all(round(end, more) for end in shown)),
+        decimals + 3,
+    )
 
 
 def scale_of(largest: float, unit: str) -> tuple[str, float]:

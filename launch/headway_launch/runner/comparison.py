@@ -5,6 +5,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from statistics import fmean
 from typing import TYPE_CHECKING, NamedTuple, Self
 
@@ -13,7 +14,7 @@ from headway.events import LABELS, Row
 from headway.registry import rule_entry
 from headway.rollout.lookahead import is_lookahead
 from headway.wording import readable_metric
-from headway_launch.console.number_formats import MISSING, formatted
+from headway_launch.console.number_formats import MISSING, formatted, with_ends
 from headway_launch.console.output import print_line, prints_to_stderr
 from headway_launch.console.tables import Value, print_table
 
@@ -118,6 +119,8 @@ class Comparison:
     """Their names in words."""
     rows: Sequence[ComparisonRow]
     """Per metric: learners, then rules by their mean return."""
+    episodes: int = 0
+    """Number of episodes that each policy and each rule played."""
 
     @classmethod
     def of(
@@ -154,8 +157,13 @@ class Comparison:
                     else:
                         row = row._replace(difference=row.mean - of_reference[0])
                 rows.append(row)
+        metrics = {name: readable_metric(name, described.get(name, "")) for name in names}
         return cls(
-            title, reference, {name: readable_metric(name, described.get(name, "")) for name in names}, rows
+            title,
+            reference,
+            metrics,
+            rows,
+            min((len(each[0]) for each in controllers.values() if each), default=0),
         )
 
     @property
@@ -198,22 +206,18 @@ class Comparison:
 
     @property
     def _decimals(self) -> dict[str, int]:
-        """Decimals of each metric that show two significant digits of its narrowest interval.
-
-        One more if an end that is not 0 would be shown as 0, which hides whether the interval excludes 0.
-        """
+        """Decimals that show two significant digits of a metric's narrowest interval, and no end as 0."""
         found = defaultdict[str, list[tuple[float, float]]](list)
         for row in self.rows:
             low, high = row.low or 0.0, row.high or 0.0
             # The interval of equal differences is as wide as the rounding of their sum.
             if high - low > _ROUNDING * max(abs(low), abs(high)):
                 found[row.metric].append((low, high))
-        decimals = {}
-        for metric, ends in found.items():
-            digits = 1 - math.floor(math.log10(min(high - low for low, high in ends)))
-            hidden = any(end and round(end, digits) == 0 for pair in ends for end in pair)
-            decimals[metric] = digits + hidden
-        return decimals
+        digits = {
+            metric: 1 - math.floor(math.log10(min(high - low for low, high in ends)))
+            for metric, ends in found.items()
+        }
+        return {metric: with_ends(digits[metric], chain(*ends)) for metric, ends in found.items()}
 
     def numbers(self) -> tuple[list[str], list[list[Value]]]:
         """Return the columns and rows of a table for programs: as `cells`, with three per difference."""
@@ -251,7 +255,8 @@ class Comparison:
                 by = formatted(best.difference, digits, "+")
                 return f"return: {who}, does not differ significantly from {reference}: {by}{interval}"
         by = formatted(abs(best.difference), digits)
-        if best.low is not None and best.low > 0 and (best.seeds or 0) >= SEEDS_FOR_A_CLAIM:
+        enough = (best.seeds or 0) >= SEEDS_FOR_A_CLAIM and self.episodes >= EPISODES_FOR_A_CLAIM
+        if enough and best.low is not None and best.low > 0:
             return f"return: {who}, beats {reference}, by {by}{interval}"
         way = "above" if best.difference > 0 else "below"
         return f"return: {who}, is {by} {way} {reference}{interval}"

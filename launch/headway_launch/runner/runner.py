@@ -189,9 +189,11 @@ class Runner:
                 [(cell.plan.label, len(cell.config.seed), cell.in_order()) for cell in self._cells],
                 {cell.config.evaluation.episodes for cell in self._cells},
             )
-        together: dict[str, list[SessionCell]] = {}
+        together: dict[tuple[object, ...], list[SessionCell]] = {}
         for cell in self._cells:
-            together.setdefault(cell.evaluation_key, []).append(cell)
+            evaluation = cell.config.evaluation
+            key = cell.evaluation_key, evaluation.modes[0], evaluation.episodes
+            together.setdefault(key, []).append(cell)
         for cells in together.values():
             self._print_comparison(cells)
 
@@ -201,13 +203,16 @@ class Runner:
         learned: dict[str, list[list[Row]]] = {}
         rules: dict[str, list[Row]] = {}
         for cell in cells:
+            name = cell.plan.label or cell.experiment.algo_name
+            if name in learned:  # cells that differ in `evaluation` only have one label
+                name += f" ({len(learned) + 1})"
             try:
                 played = last_evaluation(cell.config.evaluation, cell.in_order())
             except HeadwayError as error:
                 print_line(f"headway: {error}")
                 continue
             if played:
-                learned[cell.plan.label or cell.experiment.algo_name] = played
+                learned[name] = played
                 rules |= cell.rules
         if not learned or not rules:
             return
@@ -234,7 +239,7 @@ class Runner:
             print_line(
                 f"{seconds:.0f} s; run folders in {where}; view them with: {own_name()} browse{option}"
             )
-        if any(cell.rules for cell in self._cells):
+        if any(result.status == "FINISHED" for result in results):
             print_line(f"all metrics, curves and costs on one page: {own_name()} report {study}{option}")
         if left := self.left_to_others():
             print_line(f"headway: {counted(len(left), 'run')} left to other sessions, not in this table")

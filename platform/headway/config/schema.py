@@ -260,6 +260,8 @@ def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any anno
             return build(hint, value or {}, key)
         raise _wrong_type("mapping of keys", value, key)
     if isinstance(origin, type) and issubclass(origin, Mapping):
+        if value is None:
+            return {}
         if not isinstance(value, Mapping):
             raise _wrong_type(type_name(hint), value, key)
         inner = arguments[1] if len(arguments) == 2 else Any

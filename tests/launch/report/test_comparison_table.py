@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from headway.events import Row
 from headway_launch.report.comparison_table import comparison_table, records
 from headway_launch.runner.comparison import Comparison, ComparisonRow
@@ -32,14 +34,15 @@ def test_equal_differences_do_not_add_digits() -> None:
     assert comparison_table(comparison).rows[place][2:] == ["-7.9", "-7.9 [-7.9, -7.9]"]
 
 
-def test_an_end_of_an_interval_is_not_rounded_to_0() -> None:
+@pytest.mark.parametrize(("low", "shown"), [(0.2, "+8.2 [0.2, 16.2]"), (-0.04, "+8.20 [-0.04, 16.20]")])
+def test_an_end_of_an_interval_is_not_rounded_to_0(low: float, shown: str) -> None:
     """[0.2, 16.2] as [0, 16] would leave open whether 0 is excluded."""
     rows = [
-        ComparisonRow("return", "ippo", 3, 350.0, 8.2, 0.2, 16.2, "t over episodes"),
+        ComparisonRow("return", "ippo", 3, 350.0, 8.2, low, 16.2, "t over episodes"),
         ComparisonRow("return", "rule r", None, 341.8),
     ]
     comparison = Comparison("", "r", {"return": "return"}, rows)
-    assert comparison_table(comparison).rows[0][3] == "+8.2 [0.2, 16.2]"
+    assert comparison_table(comparison).rows[0][3] == shown
 
 
 def test_a_record_of_a_pair_is_a_record_of_a_difference() -> None:

@@ -86,6 +86,21 @@ def _accepts_change(
 
 
 @compiled
+def _accepted_lane(
+    net: Network, k: Record, cars: NDArray[np.void], moving: int, bodies: int, ego: int
+) -> int:
+    """Return the lane beside its own to which a human driver would change; -1: none."""
+    car, found = cars[ego], -1
+    for side in (-1, 1):
+        lane = side_lane(net, k, car.lane, side)
+        if lane < 0 or not can_change_to(net.lanes[lane], car.x, car.y):
+            continue
+        if abs(car.speed) >= k.min_change_speed and _accepts_change(net, k, cars, moving, bodies, ego, lane):
+            found = lane
+    return found
+
+
+@compiled
 def _cancel_conflicting_change(cars: NDArray[np.void], moving: int, ego: int) -> None:
     """Cancel a lane change if a vehicle closely ahead is already changing to the same lane."""
     car = cars[ego]
@@ -111,12 +126,9 @@ def _consider_lane_change(
     if car.timer <= _LANE_CHANGE_INTERVAL_S:
         return
     car.timer = 0.0
-    for side in (-1, 1):
-        lane = side_lane(net, k, car.lane, side)
-        if lane < 0 or not can_change_to(net.lanes[lane], car.x, car.y):
-            continue
-        if abs(car.speed) >= k.min_change_speed and _accepts_change(net, k, cars, moving, bodies, ego, lane):
-            car.target_lane = lane
+    lane = _accepted_lane(net, k, cars, moving, bodies, ego)
+    if lane >= 0:
+        car.target_lane = lane
 
 
 @compiled
@@ -154,28 +166,14 @@ def drive_human(net: Network, k: Record, cars: NDArray[np.void], moving: int, bo
     follow_target_lane(net, k, cars, moving, bodies, ego, cars[ego])
 
 
-@compiled
-def _human_change(net: Network, k: Record, cars: NDArray[np.void], moving: int, bodies: int, ego: int) -> int:
-    """Return the change of lane, `LEFT` or `RIGHT`, that a human driver would begin; -1: none."""
-    car = cars[ego]
-    if car.lane != car.target_lane or abs(car.speed) < k.min_change_speed:
-        return -1
-    for side in (-1, 1):
-        lane = side_lane(net, k, car.lane, side)
-        if lane < 0 or not can_change_to(net.lanes[lane], car.x, car.y):
-            continue
-        if _accepts_change(net, k, cars, moving, bodies, ego, lane):
-            return LEFT if side < 0 else RIGHT
-    return -1
-
-
 @compiled_apart
 def write_human_actions(
     net: Network, settings: NDArray[Any], world: World, actions: NDArray[np.int64]
 ) -> None:
     """Write, of each CAV, the action (C, N) that is closest to what a human driver would do.
 
-    A change of lane that MOBIL accepts, otherwise the target speed closest to that of IDM in one second.
+    A change of lane that MOBIL accepts, without the human drivers' pause between two of them, otherwise the
+    target speed closest to IDM's one second ahead.
     """
     k = settings[0]
     for c in range(actions.shape[0]):
@@ -185,7 +183,10 @@ def write_human_actions(
             car = cars[n]
             target_speed = car.target_speed
             car.target_speed = car.desired_speed  # as IDM and MOBIL read it
-            change = _human_change(net, k, cars, moving, bodies, n)
+            lane = _accepted_lane(net, k, cars, moving, bodies, n) if car.lane == car.target_lane else -1
             acceleration = _following_acceleration(net, k, cars, moving, bodies, n)
             car.target_speed = target_speed
-            actions[c, n] = closest_speed_action(car, car.speed + acceleration) if change < 0 else change
+            if lane >= 0:
+                actions[c, n] = LEFT if lane < car.lane else RIGHT
+            else:
+                actions[c, n] = closest_speed_action(car, car.speed + acceleration)

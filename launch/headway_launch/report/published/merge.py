@@ -7,7 +7,7 @@ import pandas as pd
 
 from headway.contracts import PublishedResult
 from headway.stats.intervals import difference_of_means
-from headway_launch.console.number_formats import MISSING
+from headway_launch.console.number_formats import MISSING, with_ends
 from headway_launch.report.elements import Part, Section, Table
 from headway_launch.report.published.episode_metrics import (
     MetricColumn,
@@ -143,6 +143,7 @@ def _shown(change: "Interval | None", decimals: int) -> str:
         return MISSING
     if math.isnan(change.low):
         return f"{change.estimate:+.{decimals}f}"
+    decimals = with_ends(decimals, (change.low, change.high))
     return f"{change.estimate:+.{decimals}f} [{change.low:.{decimals}f}, {change.high:.{decimals}f}]"
 
 
