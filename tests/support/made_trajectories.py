@@ -55,6 +55,7 @@ def fabricate(
         made.log_probs[:] = density.sum(axis=-1) + 0.2 * draw.standard_normal(by_agent)
     if hidden_size:
         made.begins[:] = draw.random(made.begins.shape) < 0.3
+        made.episode_begins[:] = made.begins.all(axis=2)
         made.hidden_states[:] = np.where(
             made.begins[..., None], 0, draw.uniform(-1, 1, made.hidden_states.shape)
         )

@@ -149,12 +149,10 @@ class ModuleRenderer:
         shown.unwrapped.render_mode = "rgb_array"
         try:
             picture = np.asarray(shown.render())
-        except NotImplementedError:  # PettingZoo's own method
-            raise HeadwayError(
-                f"{self._module} cannot be rendered: write a method render() that returns an RGB picture"
-            ) from None
         except Exception as error:  # the environment's own code
-            raise HeadwayError(f"{self._module} cannot be rendered: {one_line(error)}") from error
+            wrote_none = isinstance(error, NotImplementedError) and not str(error)
+            why = "write a method render() that returns an RGB picture" if wrote_none else one_line(error)
+            raise HeadwayError(f"{self._module} cannot be rendered: {why}") from error
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise HeadwayError(
                 f"{self._module} cannot be rendered: in the mode rgb_array its render() must return an RGB "

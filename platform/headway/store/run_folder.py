@@ -32,6 +32,8 @@ STATUSES: tuple[Status, ...] = get_args(Status)
 RECORD = "run.json"
 SUMMARY = "summary.json"
 CHECKPOINTS = "checkpoints"
+_MOMENT = re.compile(r"-\d{8}-\d{6}-[0-9a-f]+$")
+"""End of a run's name: when it was begun, and random digits."""
 _LARGEST = 1e100
 """Bound of the numbers in a summary; beyond it, sums and axes of plots overflow."""
 _MAX_NAMED = 5
@@ -287,10 +289,6 @@ def first_runs(names: Sequence[str], among: Collection[str]) -> str:
     )
     listed = f"{', '.join(most)} or {last}" if most else last
     return f"such as {listed} ({len(names)} in all)" if len(names) > _MAX_NAMED else listed
-
-
-_MOMENT = re.compile(r"-\d{8}-\d{6}-[0-9a-f]+$")
-"""End of a run's name: when it was begun, and random digits."""
 
 
 def _slug(name: str) -> str:

@@ -188,7 +188,7 @@ def by_stop(tables: Tables, day: str) -> list[tuple[str, str | None, str, float]
     found = [
         (
             str(stop),
-            str(names.get(stop)) or None,
+            names.get(stop) or None,
             ", ".join(sorted(own)),
             round(float(boards.get(stop, 0.0)), 1),
         )

@@ -424,7 +424,8 @@ def _at_stops(calls: Columns, config: BusConfig, key: str) -> NDArray[np.bool_]:
     stops = getattr(config.disruptions, key)
     for stop in stops:
         if stop not in calls["stop"]:
-            numbers = f"headway data describe {shlex.quote(str(config.scenario))} --stops 5000"
+            scenario = shlex.quote(str(config.scenario))
+            numbers = f"headway data describe {scenario} --day-type {config.day_type} --stops 5000"
             raise HeadwayError(
                 f"env.args.disruptions.{key}: no trip calls at stop {stop}; `{numbers}` shows the numbers "
                 f"of the stops, such as {calls['stop'][0]}"
