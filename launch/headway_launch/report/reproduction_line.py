@@ -24,9 +24,9 @@ _NO_EFFECT = ("store.", "seed", "preset", "candidate", *(f"backend.{key}" for ke
 def reproducing_line(mapping: Mapping[str, Any], seeds: str, file: str) -> str:
     """Return `headway run ...` with every key that differs from today's defaults and preset.
 
-    `seeds`: as on the command line. `file`: path of the configuration, which the line names if the environment
-    is in a file, because composing overrides would run that file. Raises HeadwayError if this version cannot
-    compose the configuration, for instance because an environment is not installed.
+    `seeds`: as on the command line. `file`: path of the configuration, which the line names if the
+    environment is in a file, because composing overrides would run that file. Raises HeadwayError if this
+    version cannot compose the configuration, for instance because an environment is not installed.
     """
     env = mapping.get("env")
     if isinstance(env, Mapping) and is_file_id(str(env.get("id"))):
