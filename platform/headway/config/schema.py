@@ -93,7 +93,7 @@ def build(
             hint = known or suggestion(str(key), fields, f"{path}." if path else "")
             raise UnknownKeyError(_join(path, str(key)), owner, hint)
     for name, field in fields.items():
-        if name not in mapping and field.default is MISSING and field.default_factory is MISSING:
+        if name not in mapping and not _has_default(field):
             raise HeadwayError(f"{_join(path, name)} is missing and has no default; give it a value")
     hints, docs = get_type_hints(record_class), field_docs(checked)
     for key, value in mapping.items():
@@ -241,6 +241,10 @@ def _check_single_choice(hint: Any, value: object, key: str, of: str, doc: str) 
         raise HeadwayError(f"{key}={shown(value)} is not possible: {fixed}. {doc}")
 
 
+def _has_default(field: dataclasses.Field[Any]) -> bool:
+    return field.default is not MISSING or field.default_factory is not MISSING
+
+
 def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value
     origin, arguments = get_origin(hint), get_args(hint)
     if hint is Any:
@@ -256,8 +260,10 @@ def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any anno
         if isinstance(value, hint):
             return value
         # null for a group of keys clears what a file sets: each key has its default.
-        if isinstance(value, Mapping) or value is None:
-            return build(hint, value or {}, key)
+        if value is None and all(_has_default(field) for field in dataclasses.fields(hint)):
+            return hint()
+        if isinstance(value, Mapping):
+            return build(hint, value, key)
         raise _wrong_type("mapping of keys", value, key)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         if value is None:
