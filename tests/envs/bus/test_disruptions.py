@@ -133,7 +133,7 @@ def test_a_late_bus_leaves_the_depot_late_and_no_other_one() -> None:
     [
         (
             {"surge": 2.0, "surge_stops": (9999,)},
-            r"surge_stops: no trip calls at stop 9999; `headway data describe line --day-type weekday --stops",
+            r"no trip calls at stop 9999; `headway data describe line --day-type weekday --stops",
         ),
         ({"late_s": 60.0, "late_bus": 99}, r"disruptions.late_bus: there is no bus 99; the scenario has 14"),
     ],
