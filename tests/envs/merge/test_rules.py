@@ -1,5 +1,7 @@
 """Rules, and the effect of the supervisor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from merging import make
@@ -7,7 +9,7 @@ from played import assert_allowed, first_episodes, repeated
 
 from headway_envs.merge.entry import ENTRIES, RULES
 from headway_envs.merge.env import MergeBatchedEnv
-from headway_envs.merge.kernel.layout import AS_HUMAN, IDLE, SPEED_STEP
+from headway_envs.merge.kernel.layout import AS_HUMAN, IDLE, LEFT, SLOWER, SPEED_STEP
 
 
 def _metrics(env: MergeBatchedEnv, rule_name: str) -> dict[str, np.ndarray]:
@@ -43,6 +45,22 @@ def test_the_closest_actions_follow_human_drivers_and_leave_the_state_alone() ->
     speeds = [env.world.cars["speed"][:, : cavs.shape[1]][cavs] for env in (human, discrete)]
     assert np.abs(speeds[0] - speeds[1]).max() < SPEED_STEP
     assert np.corrcoef(*speeds)[0, 1] > 0.5
+
+
+@pytest.mark.parametrize(("beside", "changes"), [(100.0, True), (378.0, False), (365.0, False)])
+def test_the_closest_action_is_a_change_of_lane_if_the_highway_has_a_gap(
+    beside: float, changes: bool
+) -> None:
+    """A CAV 40 m before the end of the ramp, and a human driver on the highway, far behind or in its way."""
+    env = make(copies=1, density=1, cavs=1)
+    cars = env.world.cars[0]
+    for place, (x, y, lane) in enumerate([(380.0, 4.0, 2), (beside, 0.0, 1 if beside > 320 else 0)]):
+        car = cars[place]
+        car["x"], car["y"], car["lane"], car["target_lane"] = x, y, lane, lane
+        car["speed"] = car["target_speed"] = car["desired_speed"] = 20.0
+    placed = replace(env.observed(), action_masks=None)
+    action = RULES["idm_mobil_actions"].make(env.prepared).act(env, placed)[0, 0]
+    assert action == (LEFT if changes else SLOWER)
 
 
 @pytest.mark.parametrize("name", ENTRIES)
