@@ -1,9 +1,13 @@
 """The command line of a stored run composes that run's configuration again, whatever its values look like."""
 
+import json
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
+import yaml
+from shuttle import SHUTTLE
 
 from headway_launch.experiments.compose import Experiment, compose
 from headway_launch.experiments.parameters import full_mapping
@@ -78,6 +82,11 @@ def test_a_preset_of_which_something_cannot_be_taken_back_is_left_out() -> None:
     assert full_mapping(compose(words), [3])["env"] == stored["env"]
 
 
-def test_an_environment_in_a_file_is_trained_from_the_configuration() -> None:
-    mapping = {"env": {"id": "/home/me/ring.py"}, "algo": {"name": "mappo"}}
-    assert reproducing_line(mapping, "0,1", "configs/ring.yaml") == "headway run configs/ring.yaml seed=0,1"
+def test_an_environment_in_a_file_is_trained_from_the_configuration(tmp_path: Path) -> None:
+    (tmp_path / "shuttle.py").write_text(SHUTTLE)
+    experiment = compose([f"env={tmp_path / 'shuttle.py'}", "algo=ippo", "algo.lr=1e-4", "seed=3"])
+    stored = json.loads(json.dumps(full_mapping(experiment, [3]), default=str))
+    file = tmp_path / "cell.yaml"
+    file.write_text(yaml.safe_dump({key: value for key, value in stored.items() if key != "seed"}))
+    again = compose(shlex.split(reproducing_line(stored, "3", str(file)))[2:])
+    assert json.loads(json.dumps(full_mapping(again, [3]), default=str)) == stored
