@@ -1,5 +1,6 @@
 """Actions of rules that are not in the action space, against one line that names the rule."""
 
+from contextlib import closing
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -73,3 +74,14 @@ def test_every_rule_of_an_environment_passes(env: str) -> None:
     prepared = entry.prepare(entry.config())
     for rule in entry.rules:
         assert evaluate_rule(entry.make, rule_entry(entry, rule).make, prepared, 7, 1)
+
+
+@pytest.mark.parametrize("env", ["bus_published", "intersection", "merge_two_lane"])
+def test_every_rule_passes_in_the_first_step(env: str) -> None:
+    """Those of Boxes too. Whole episodes of SUMO would take long."""
+    entry = env_entries()[env]
+    prepared = entry.prepare(entry.config())
+    for name in entry.rules:
+        with closing(entry.make(prepared, 1)) as made:
+            observed = made.reset(np.zeros(1, np.uint64))
+            made.step(rule_entry(entry, name).make(prepared).act(made, observed))
