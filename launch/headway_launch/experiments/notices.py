@@ -12,7 +12,8 @@ from headway_launch.experiments.experiment_file import split_experiment_file
 _INTERVALS = 6
 """Evaluations after the first that a suggested `evaluation.every` leaves, at least."""
 _EPISODE_STEPS = 80
-"""Steps of an episode that are assumed to tell whether the last evaluation is longer than the training."""
+"""Assumed steps of an episode, whose length is known only once one has been played: a guess, with which no
+experiment of the project gets the notice on a long last evaluation."""
 
 
 def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -> None:

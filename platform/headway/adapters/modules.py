@@ -150,8 +150,9 @@ class ModuleRenderer:
         try:
             picture = np.asarray(shown.render())
         except Exception as error:  # the environment's own code
-            wrote_none = isinstance(error, NotImplementedError) and not str(error)
-            why = "write a method render() that returns an RGB picture" if wrote_none else one_line(error)
+            # PettingZoo's own method raises it without words: the environment has none.
+            has_none = isinstance(error, NotImplementedError) and not str(error)
+            why = "write a method render() that returns an RGB picture" if has_none else one_line(error)
             raise HeadwayError(f"{self._module} cannot be rendered: {why}") from error
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise HeadwayError(

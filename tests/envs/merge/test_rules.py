@@ -1,5 +1,7 @@
 """Rules, and the effect of the supervisor."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +34,7 @@ def test_rules_act_within_the_masks(name: str, rule: str) -> None:
 
 
 def test_the_closest_actions_follow_human_drivers_and_leave_the_state_alone() -> None:
-    """As long as no vehicle brakes below 10 m/s, speeds differ by less than a step of target speeds."""
+    """Speeds differ by less than a step of target speeds as long as no vehicle brakes below 10 m/s."""
     human, discrete = (make(copies=50, density=1) for _ in range(2))
     rules = [RULES[name].make(human.prepared) for name in ("idm_mobil", "idm_mobil_actions")]
     for _ in range(10):
@@ -45,6 +47,16 @@ def test_the_closest_actions_follow_human_drivers_and_leave_the_state_alone() ->
     speeds = [env.world.cars["speed"][:, : cavs.shape[1]][cavs] for env in (human, discrete)]
     assert np.abs(speeds[0] - speeds[1]).max() < SPEED_STEP
     assert np.corrcoef(*speeds)[0, 1] > 0.5
+
+
+def test_the_warm_up_compiles_the_rule() -> None:
+    """In a process of its own: other tests compile it too."""
+    code = (
+        "from headway_envs.merge.kernel import warm, drivers; warm(); "
+        "print(len(drivers.write_human_actions.signatures))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "1\n"
 
 
 @pytest.mark.parametrize(("beside", "changes"), [(100.0, True), (378.0, False), (365.0, False)])

@@ -29,7 +29,7 @@ def test_compiling_is_reported_once_and_only_if_it_happens(
 ) -> None:
     kernels = ModuleType("kernels_of_a_test")
     functions = [numba.njit(lambda x: x + 1), numba.njit(lambda x: x * 2)]
-    kernels.warm = lambda: [function(3) for function in functions]  # type: ignore[attr-defined]
+    monkeypatch.setattr(kernels, "warm", lambda: [function(3) for function in functions], raising=False)
     monkeypatch.setitem(sys.modules, "kernels_of_a_test", kernels)
     compile_kernels(entry("kernels_of_a_test"))
     told = "compiling the kernels of kernels_of_a_test (1 of 1), once (a few minutes)\n"
@@ -52,7 +52,8 @@ def test_a_long_compilation_prints_its_time(
     monkeypatch.setattr("headway_launch.runner.warm_up._EVERY_S", 0.01)
     monkeypatch.setattr("headway_launch.runner.warm_up.print_line", noted)
     kernels = ModuleType("slow_kernels")
-    kernels.warm = lambda: (numba.njit(lambda x: x + 1)(3), again.wait())  # type: ignore[attr-defined]
+    compile_and_wait = [lambda: numba.njit(lambda x: x + 1)(3), again.wait]
+    monkeypatch.setattr(kernels, "warm", lambda: [each() for each in compile_and_wait], raising=False)
     monkeypatch.setitem(sys.modules, "slow_kernels", kernels)
     compile_kernels(entry("slow_kernels"))
     assert printed[1].startswith("still compiling the kernels of slow_kernels (1 of 1), for 0:00:0")

@@ -3,7 +3,7 @@
 from contextlib import closing
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,10 +21,10 @@ BOX = Box((-1.0, -1.0), (1.0, 1.0))
 class Fixed:
     """A rule that always returns the same actions."""
 
-    actions: Any
+    actions: object
 
-    def act(self, env: object, observed: object) -> Any:  # noqa: ANN401 - also what no rule may return
-        return self.actions
+    def act(self, env: object, observed: object) -> NDArray[Any]:
+        return cast(NDArray[Any], self.actions)  # also what no rule may return
 
 
 def act(actions: object, space: ActionSpace) -> NDArray[Any]:
@@ -78,7 +78,7 @@ def test_every_rule_of_an_environment_passes(env: str) -> None:
 
 @pytest.mark.parametrize("env", ["bus_published", "intersection", "merge_two_lane"])
 def test_every_rule_passes_in_the_first_step(env: str) -> None:
-    """Those of Boxes too. Whole episodes of SUMO would take long."""
+    """Rules of a Box are among them; one step, because whole episodes of SUMO take long."""
     entry = env_entries()[env]
     prepared = entry.prepare(entry.config())
     for name in entry.rules:

@@ -194,7 +194,7 @@ def test_long_names_of_a_rule_s_phase_stay_in_the_panel(steps: int) -> None:
     means = means.assign(low=0.5, high=1.5, runs=4)
     phases = {"": {names[1]: ("hold", steps), names[2]: ("even_headway", steps)}}
     figure = learning_curves(means, {}, "return", colours(names), rule_phases=phases)
-    figure.canvas.draw()  # type: ignore[attr-defined]
+    figure.draw_without_rendering()
     [axes] = figure.axes
     panel = axes.get_window_extent()
     texts = [text for text in axes.texts if text.get_text().startswith("rule ")]

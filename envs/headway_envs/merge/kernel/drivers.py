@@ -170,10 +170,10 @@ def drive_human(net: Network, k: Record, cars: NDArray[np.void], moving: int, bo
 def write_human_actions(
     net: Network, settings: NDArray[Any], world: World, actions: NDArray[np.int64]
 ) -> None:
-    """Write, of each CAV, the action (C, N) that is closest to what a human driver would do.
+    """Write the action of each CAV that is closest to what a human driver would do to `actions` (C, N).
 
-    A change of lane that MOBIL accepts, without the human drivers' pause between two of them, otherwise the
-    target speed closest to IDM's one second ahead.
+    It is the change of lane that MOBIL accepts, without the human drivers' pause between two changes;
+    otherwise the one with the target speed closest to IDM's one second ahead.
     """
     k = settings[0]
     for c in range(actions.shape[0]):
