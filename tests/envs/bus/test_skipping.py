@@ -1,17 +1,20 @@
 """Stop-skipping and boarding limits as actions: a naive loop over a hand-made line, masks and invariants."""
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.typing import NDArray
 from played import begun, first_episodes
 
 from headway.contracts import Discrete, child_seeds
 from headway_envs.bus.config import BusConfig, NoiseConfig
 from headway_envs.bus.entry import ENTRY
 from headway_envs.bus.env import BusBatchedEnv
+from headway_envs.bus.kernel.layout import DRIVING, STANDING
 from headway_envs.bus.kernel.passengers import update_queue
 from headway_envs.bus.prepare import prepare
 from headway_envs.bus.prepared import Prepared
@@ -202,6 +205,30 @@ def test_a_hand_made_line_is_served_as_by_a_naive_loop() -> None:
     # Everyone aboard alights at the stop that the second bus skips.
     assert expected.visits[1, 3].left > expected.visits[1, 3].arrived
     assert expected.visits[0, 1].left == expected.visits[0, 1].arrived
+
+
+@pytest.mark.parametrize(
+    ("action", "at", "control_every"),
+    [(6, 3, 1), (SKIP, 2, 1), (0, 3, 2)],
+    ids=["held at stop 3", "skips stop 3", "no control at stop 3"],
+)
+def test_masks_are_those_of_the_stop_at_which_a_bus_decides_next(
+    action: int, at: int, control_every: int
+) -> None:
+    """A bus that stands at stop 3 and has no decision left there decides at stop 4 next, from where it may do
+    neither, because stop 5 is the last. At stop 2 it may do both."""
+    config = replace(hand_made().config, alighting_s=3.0, control_every=control_every)
+    env = BusBatchedEnv(replace(hand_made(), config=config), 1)
+    observed, masks = env.reset(np.array([5], np.uint64)), dict[int, NDArray[np.bool_]]()
+    for _ in range(26):
+        assert observed.action_masks is not None
+        bus = env.world.slots[0, 0]
+        if bus["phase"] == STANDING:  # of all control intervals at a stop the last counts
+            masks[int(bus["call"])] = observed.action_masks[0, 0, SKIP:].copy()
+        next_stop = int(bus["call"]) + (bus["phase"] == DRIVING)
+        _, observed = env.step(np.full((1, 3), action if next_stop == at else 0))
+    assert masks[2].all()
+    assert not masks[3].any()
 
 
 def test_passengers_are_conserved_and_a_snapshot_continues_bit_for_bit() -> None:

@@ -120,7 +120,11 @@ def _mask_restrictions(
 ) -> None:
     """Mask skipping and boarding limits where the bus may not order them at its next decision."""
     slot = world.slots[c, n]
-    place = slot.call + (slot.phase == DRIVING or slot.phase == DISPATCHED) + (slot.next_order == SKIP_NEXT)
+    # A bus that has been held at its stop, or skips it, decides at a later one.
+    decided = slot.phase == STANDING and (slot.held > 0.0 or slot.order == SKIP_NEXT)
+    leaves = slot.phase == DRIVING or slot.phase == DISPATCHED or decided
+    place = slot.call + leaves + (slot.next_order == SKIP_NEXT)
+    place += (net.pattern_calls[slot.pattern] - place) % k.control_every
     mask[:] = True
     if k.skip_action >= 0 and alive:
         mask[k.skip_action] = may_restrict(net, world, c, slot.pattern, place, SKIP_NEXT)
