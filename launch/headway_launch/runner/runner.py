@@ -14,6 +14,7 @@ from headway.config.experiment import ExperimentConfig
 from headway.contracts.errors import HeadwayError
 from headway.events import Row
 from headway.rollout.workers.usage import usable_cores
+from headway.store.index import RunIndex
 from headway.store.session import SessionStore
 from headway.wording import counted, environment_name
 from headway_launch.console.output import ignore_closed_pipe, own_name, print_line, relative
@@ -66,7 +67,8 @@ class Runner:
             require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
             compile_kernels_of([cell.experiment for cell in cells if cell.jobs])
             self._store = SessionStore(self._config.store)
-            self._cells = [SessionCell(self._store, cell) for cell in cells]
+            rows = RunIndex(Path(self._config.store.root)).rows(self._config.study)
+            self._cells = [SessionCell(self._store, cell, rows) for cell in cells]
             self._jobs = [SessionJob.of(cell, job) for cell in self._cells for job in cell.plan.jobs]
             self._energy = SessionEnergy(self._config.energy, self._jobs)
         except BaseException:
