@@ -12,12 +12,12 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from headway.config.schema import suggestion
-from headway.contracts.entries import AlgoEntry, EnvEntry, RuleEntry
+from headway.contracts.entries import LOOKAHEAD, AlgoEntry, EnvEntry, RuleEntry, is_lookahead
 from headway.contracts.errors import HeadwayError, one_line
 from headway.contracts.random_rule import RANDOM
 from headway.contracts.wrapper import WrapperEntry
 from headway.rollout.checked_rule import CheckedRule
-from headway.rollout.lookahead import LOOKAHEAD, SAMPLES, STEPS, Lookahead, is_lookahead
+from headway.rollout.lookahead import SAMPLES, STEPS, Lookahead
 
 Entry = TypeVar("Entry", EnvEntry, AlgoEntry, WrapperEntry)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
+from headway.stats.comparison import metric_values
 from headway_launch.commands.arguments import (
     OTHER_EVALUATION_SEED,
     add_best_argument,
@@ -32,7 +33,7 @@ from headway_launch.report.comparison_table import (
 from headway_launch.report.elements import Table
 from headway_launch.report.latex_table import latex_table
 from headway_launch.report.markdown_page import markdown_table
-from headway_launch.runner.comparison import Comparison, metric_values
+from headway_launch.runner.comparison import Comparison
 from headway_launch.studies.learner_pairs import PairRow, pair_rows, pairs_note
 
 if TYPE_CHECKING:
@@ -103,9 +104,10 @@ def execute(arguments: argparse.Namespace) -> int:
     """Evaluate and print the table."""
     from headway_launch.console.output import print_line
     from headway_launch.console.progress_display import CountedProgress
+    from headway_launch.experiments.rules import counting, rule_episodes, rules_to_play
     from headway_launch.experiments.start_line import start_line
     from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
-    from headway_launch.runner.comparison import counting, print_findings, rule_episodes, rules_to_play
+    from headway_launch.runner.comparison import print_findings
     from headway_launch.runner.warm_up import compile_kernels
     from headway_launch.studies.kept_episodes import keep_episodes, require_other_episodes
 

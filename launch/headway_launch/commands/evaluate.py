@@ -55,14 +55,9 @@ def execute(arguments: argparse.Namespace) -> int:
     """Evaluate and print the table."""
     from headway_launch.console.output import print_line
     from headway_launch.console.progress_display import CountedProgress
+    from headway_launch.experiments.rules import counting, rule_episodes, rules_to_play
     from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
-    from headway_launch.runner.comparison import (
-        Comparison,
-        counting,
-        print_findings,
-        rule_episodes,
-        rules_to_play,
-    )
+    from headway_launch.runner.comparison import Comparison, print_findings
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.runner.warm_up import compile_kernels
 

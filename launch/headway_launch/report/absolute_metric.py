@@ -5,14 +5,14 @@ from typing import Any
 
 import pandas as pd
 
-from headway.rollout.lookahead import is_lookahead
+from headway.contracts.entries import is_lookahead
 from headway.stats import frames
+from headway.stats.comparison import difference
 from headway.wording import counted
 from headway_launch.console.number_formats import MISSING, formatted, with_deviation, with_interval
 from headway_launch.report.elements import Part, Section, table_by_task
 from headway_launch.report.reward_tables import against_cells, exact_against
 from headway_launch.report.study_data import DifferenceFromBest, StudyData
-from headway_launch.runner.comparison import difference
 from headway_launch.studies.kept_episodes import kept_episodes
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from headway.stats import frames, plots
+from headway.stats.comparison import SEEDS_FOR_A_CLAIM
 from headway.stats.curves import FEWEST_POINTS
 from headway.wording import counted
 from headway_launch.console.number_formats import MISSING, formatted, with_deviation, with_interval
@@ -14,7 +15,6 @@ from headway_launch.experiments.start_line import rule_start, start_line
 from headway_launch.report.comparison_table import pairs_table
 from headway_launch.report.elements import Part, Picture, Section, Table, table_by_task
 from headway_launch.report.study_data import DifferenceFromBest, StudyData, mean_of_known
-from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 SEEDS_FOR_A_PROFILE = 5
 """Number of seeds per controller below which intervals fill nearly all of a performance profile."""

@@ -12,15 +12,16 @@ import pandas as pd
 
 from headway.config.experiment import last_iterations
 from headway.config.schema import flat
+from headway.contracts.entries import is_lookahead
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS
-from headway.rollout.lookahead import is_lookahead
 from headway.stats import frames, plots
+from headway.stats.comparison import SEEDS_FOR_A_CLAIM, difference
 from headway.stats.samples import Interval, MeanStd, mean_std
 from headway.store.query import LABELS as RUN_LABELS
 from headway.store.query import RunSelection
 from headway.wording import counted, readable_metric
-from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM, difference, gap_lines
+from headway_launch.runner.comparison import gap_lines
 from headway_launch.studies.learner_pairs import PairRow, pair_rows
 from headway_launch.studies.runs import (
     common_mode,

@@ -2,6 +2,7 @@
 
 import pandas as pd
 
+from headway.stats.comparison import SEEDS_FOR_A_CLAIM
 from headway.stats.samples import CONFIDENCE
 from headway.store.provenance import provenance
 from headway.wording import counted
@@ -19,7 +20,6 @@ from headway_launch.report.reward_tables import (
 )
 from headway_launch.report.setup_section import setup_section
 from headway_launch.report.study_data import StudyData
-from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 _MAX_PAIRS = 3
 """Maximum number of pairs of learners that the summary names."""

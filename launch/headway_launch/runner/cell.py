@@ -21,7 +21,7 @@ from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.console.progress_display import CountedProgress
 from headway_launch.experiments.parameters import full_mapping, identity
-from headway_launch.runner.comparison import rule_episodes
+from headway_launch.experiments.rules import rule_episodes
 from headway_launch.runner.cores import CoreShares, workers_of
 from headway_launch.runner.jobs import CellPlan, PlannedJob
 from headway_launch.runner.results import SeedResult

@@ -1,116 +1,41 @@
-"""Comparison of trained policies with the classical rules on the same evaluation episodes."""
+"""Words and tables on a comparison of trained policies with rules on the same evaluation episodes."""
 
 import math
 import sys
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from statistics import fmean
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import Self
 
-from headway.contracts.errors import HeadwayError
-from headway.events import LABELS, Row
-from headway.registry import rule_entry
-from headway.rollout.lookahead import is_lookahead
+from headway.contracts.entries import is_lookahead
+from headway.events import Row
+from headway.stats.comparison import (
+    EPISODES_FOR_A_CLAIM,
+    RULE,
+    SEEDS_FOR_A_CLAIM,
+    ComparisonRow,
+    Gap,
+    best_rule,
+    comparison_rows,
+    gaps,
+    mean_return,
+    metric_values,
+)
 from headway.wording import readable_metric
 from headway_launch.console.number_formats import MISSING, formatted, with_ends
-from headway_launch.console.output import print_line, prints_to_stderr
+from headway_launch.console.output import print_line
 from headway_launch.console.tables import Value, print_table
 
-if TYPE_CHECKING:
-    from headway.rollout.episodes import OnStep
-    from headway.stats.samples import Interval
-    from headway_launch.console.progress_display import CountedProgress
-    from headway_launch.experiments.compose import Experiment, PreparedEnv
-
-_RULE = "rule "
-_METRICS_SHOWN = 3
-"""Metrics beside the return in the table at the end of a training."""
 _WHOLE_NAME = 30
 """Length up to which names of controllers are not wrapped, at the expense of metrics."""
 _ROUNDING = 1e-12
 """Largest width of an interval, relative to its ends, that rounding alone explains."""
-SEEDS_FOR_A_CLAIM = 10
-"""Minimum number of training seeds from which an interval over seeds that excludes 0 supports a claim."""
-EPISODES_FOR_A_CLAIM = 20
-"""Minimum number of episodes from which an interval over episodes that excludes 0 supports a claim."""
-
-
-def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "--rules") -> tuple[str, ...]:
-    """Return the rules to play: the distinct ones in `names` (`a,b`) or, by default, all that can be played
-    except `lookahead`.
-
-    Prints which rules are left out because wrappers hide their inputs. Raises HeadwayError, naming `option`,
-    for an unknown rule or a listed rule that cannot play.
-    """
-    known = environment.entry.rules
-    if names is not None:
-        wanted = tuple(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
-        for name in wanted:
-            if problem := _refusal(environment, name):
-                raise HeadwayError(f"{option}: {problem}")
-        return wanted
-    problems = {name: problem for name in known if (problem := _refusal(environment, name))}
-    if problems:
-        others = f" (likewise {', '.join(list(problems)[1:])})" if len(problems) > 1 else ""
-        print_line(f"headway: left out: {next(iter(problems.values()))}{others}")
-    return tuple(name for name in known if name not in problems)
-
-
-def _refusal(environment: "PreparedEnv", rule: str) -> str | None:
-    """Return why a rule is unknown or cannot play an environment; None if it can."""
-    try:
-        rule_entry(environment.entry, rule).make(environment.prepared)
-    except HeadwayError as error:
-        return str(error)
-    return None
-
-
-@prints_to_stderr()
-def rule_episodes(
-    experiment: "Experiment",
-    prepared: object,
-    rules: Sequence[str],
-    root: int,
-    episodes: int,
-    progress: "CountedProgress",
-) -> dict[str, list[Row]]:
-    """Return the episodes of each rule, one row per episode, on the evaluation seeds derived from `root`."""
-    from headway.rollout.episodes import evaluate_rule
-
-    env = experiment.env
-    return {
-        rule: evaluate_rule(
-            env.make, rule_entry(env, rule).make, prepared, root, episodes, counting(progress, f"rule {rule}")
-        )
-        for rule in rules
-    }
-
-
-def counting(progress: "CountedProgress", name: str) -> "OnStep":
-    """Return a callback that adds the finished episodes of the controller `name` to the counter."""
-    return lambda step, ended: progress.add(ended, f"{name}, step {step:,}")
-
-
-class ComparisonRow(NamedTuple):
-    """One metric of one controller. None: a rule has no seeds, the reference no difference from itself."""
-
-    metric: str
-    controller: str
-    seeds: int | None
-    mean: float
-    difference: float | None = None
-    """Controller minus reference; None also for metrics that are not compared."""
-    low: float | None = None
-    high: float | None = None
-    interval: str | None = None
-    """Kind of the 95% interval of the difference, from `low` to `high`; None: only one episode was played."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Controllers compared on the same episodes."""
+    """Controllers compared on the same episodes, in words and digits."""
 
     title: str
     reference: str | None
@@ -132,39 +57,16 @@ class Comparison:
         names: Sequence[str] = (),
         reference: str | None = None,
     ) -> Self:
-        """Compare episodes. `rules`: episodes of each; `learned`: seeds x episodes of each.
+        """Compare episodes; arguments as in `headway.stats.comparison.comparison_rows`.
 
-        `described`: descriptions of the environment's metrics; `names`: those to compare, by default the
-        return, beside which stand the means of the first metrics that all episodes have. `reference`: by
-        default the best rule.
+        `described`: descriptions of the environment's metrics; `reference`: by default the best rule.
         """
-        by_return = sorted(rules, key=lambda rule: -fmean(metric_values(rules[rule], "return")))
-        if reference is None and rules:
-            reference = min(by_return, key=is_lookahead)  # the first; `lookahead` only if there is no other
-        controllers = {**learned, **{f"{_RULE}{rule}": [rules[rule]] for rule in by_return}}
-        compared, names = names or ("return",), names or _first_metrics(controllers.values())
-        rows = []
-        for metric in names:
-            for name, by_seed in controllers.items():
-                values = [metric_values(of_seed, metric) for of_seed in by_seed]
-                seeds = len(values) if name in learned else None
-                row = ComparisonRow(metric, name, seeds, fmean(map(fmean, values)))
-                if reference is not None and metric in compared and name != f"{_RULE}{reference}":
-                    of_reference = metric_values(rules[reference], metric)
-                    if len(of_reference) > 1:
-                        found = difference(values, of_reference)
-                        row = ComparisonRow(*row[:4], found.estimate, found.low, found.high, found.method)
-                    else:
-                        row = row._replace(difference=row.mean - of_reference[0])
-                rows.append(row)
-        metrics = {name: readable_metric(name, described.get(name, "")) for name in names}
-        return cls(
-            title,
-            reference,
-            metrics,
-            rows,
-            min((len(each[0]) for each in controllers.values() if each), default=0),
-        )
+        if reference is None:
+            reference = best_rule(rules)
+        rows = comparison_rows(rules, learned, names, reference)
+        metrics = {row.metric: readable_metric(row.metric, described.get(row.metric, "")) for row in rows}
+        played = [*rules.values(), *(by_seed[0] for by_seed in learned.values() if by_seed)]
+        return cls(title, reference, metrics, rows, min(map(len, played), default=0))
 
     @property
     def controllers(self) -> list[str]:
@@ -276,25 +178,7 @@ class Comparison:
 
 
 def _rule(row: ComparisonRow) -> str:
-    return row.controller.removeprefix(_RULE)
-
-
-def metric_values(episodes: Sequence[Row], metric: str) -> list[float]:
-    """Return a metric of each episode."""
-    return [float(row[metric]) for row in episodes]
-
-
-def mean_return(learned: Sequence[Sequence[Row]]) -> float:
-    """Return the mean return of a learner, seeds x episodes."""
-    return fmean(fmean(metric_values(rows, "return")) for rows in learned)
-
-
-def _first_metrics(played: Iterable[Sequence[Sequence[Row]]]) -> list[str]:
-    """Return the return and the first metrics that all episodes have."""
-    first, *others = (row for by_seed in played for rows in by_seed for row in rows)
-    names = [name for name in first if name not in LABELS | {"length", "return"}]
-    everywhere = [name for name in names if all(row.get(name) is not None for row in (first, *others))]
-    return ["return", *everywhere[:_METRICS_SHOWN]]
+    return row.controller.removeprefix(RULE)
 
 
 def print_findings(
@@ -315,53 +199,23 @@ def print_findings(
         print_line(few_episodes(episodes))
 
 
-def difference(learned: Sequence[Sequence[float]], rule: Sequence[float]) -> "Interval":
-    """Return the paired difference of a metric between a learner (seeds x episodes) and a rule (episodes).
-
-    The 95% interval is Student's t over episodes for one seed, over seeds and episodes for more. Raises
-    ValueError for fewer than two episodes.
-    """
-    from headway.stats.intervals import paired_difference, paired_difference_over_seeds
-
-    if len(learned) == 1:
-        return paired_difference(learned[0], rule)
-    return paired_difference_over_seeds(learned, [rule] * len(learned))
-
-
 def gap_lines(learned: Mapping[str, float], rules: Mapping[str, Sequence[float]], sign: int = 1) -> list[str]:
-    """Return a sentence for each `lookahead` among the rules on its lead over the best other rule.
-
-    It states which share of that lead each learner reaches, if the paired 95% interval of the lead over
-    episodes is above 0. `learned`: mean of each learner; `rules`: values of each rule, of the same episodes
-    in the same order. `sign` is -1 if lower is better.
-    """
-    others = [rule for rule in rules if not is_lookahead(rule)]
-    if not others:
-        return []
-    best = max(others, key=lambda rule: sign * fmean(rules[rule]))
-    means = {name: sign * (value - fmean(rules[best])) for name, value in learned.items()}
-    gained = {
-        reference: [sign * (value - of_best) for value, of_best in zip(values, rules[best], strict=True)]
-        for reference, values in rules.items()
-        if is_lookahead(reference)
-    }
-    return [_gap_line(best, reference, values, means) for reference, values in gained.items()]
+    """Return a sentence for each gap found by `headway.stats.comparison.gaps`, whose arguments these are."""
+    return [_gap_line(gap) for gap in gaps(learned, rules, sign)]
 
 
-def _gap_line(best: str, reference: str, gains: Sequence[float], learned: Mapping[str, float]) -> str:
-    """Return the sentence on one `lookahead`; `gains` (episodes,) and `learned` are differences from the rule
-    `best`."""
-    between = f"gap from {best}, the best of the rules played, to {reference}"
-    if len(gains) < 2:
+def _gap_line(gap: Gap) -> str:
+    between = f"gap from {gap.best}, the best of the rules played, to {gap.reference}"
+    lead = gap.lead
+    if lead is None:
         return f"{between}: not distinguishable from 0 over fewer than two episodes"
-    gap = difference([gains], [0.0] * len(gains))
-    interval = f"95% interval {gap.low:.4g} to {gap.high:.4g}"
-    if gap.low <= 0:
-        finding = "not distinguishable from 0" if gap.high >= 0 else f"none, {reference} is worse"
+    interval = f"95% interval {lead.low:.4g} to {lead.high:.4g}"
+    if lead.low <= 0:
+        finding = "not distinguishable from 0" if lead.high >= 0 else f"none, {gap.reference} is worse"
         return f"{between}: {finding} ({interval})"
-    shares = ", ".join(f"{name} closes {value / gap.estimate:.0%}" for name, value in learned.items())
+    shares = ", ".join(f"{name} closes {share:.0%}" for name, share in gap.shares.items())
     note = "a reference that simulates the environment"
-    return f"{between}, {note}: {gap.estimate:.4g} ({interval}){'; of this gap, ' if shares else ''}{shares}"
+    return f"{between}, {note}: {lead.estimate:.4g} ({interval}){'; of this gap, ' if shares else ''}{shares}"
 
 
 def few_seeds(seeds: int) -> str:

@@ -14,6 +14,7 @@ from headway.config.experiment import ExperimentConfig
 from headway.contracts.errors import HeadwayError
 from headway.events import Row
 from headway.rollout.workers.usage import usable_cores
+from headway.stats.comparison import mean_return
 from headway.store.index import RunIndex
 from headway.store.session import SessionStore
 from headway.wording import counted, environment_name
@@ -21,7 +22,7 @@ from headway_launch.console.output import ignore_closed_pipe, own_name, print_li
 from headway_launch.experiments.parameters import session_settings
 from headway_launch.runner.cell import Rules, SessionCell
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
-from headway_launch.runner.comparison import Comparison, mean_return, print_findings
+from headway_launch.runner.comparison import Comparison, print_findings
 from headway_launch.runner.jobs import CellPlan, require_free_disk
 from headway_launch.runner.recorder import JobRecorder
 from headway_launch.runner.results import (

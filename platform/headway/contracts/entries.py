@@ -17,6 +17,9 @@ from headway.contracts.environment import BatchedEnv, EnvSpec, Observations
 from headway.contracts.lazy import Lazy
 from headway.contracts.learner import Contributor, Learner
 
+LOOKAHEAD = "lookahead"
+"""Name of the rule that improves on another rule by simulation."""
+
 
 def _identity(config: Any) -> Any:  # noqa: ANN401 - any record
     return config
@@ -50,6 +53,14 @@ class Rule(Protocol):
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[Any]:
         """Return the actions of every copy and agent, shaped as `BatchedEnv.step` takes them."""
         ...
+
+
+def is_lookahead(rule: str) -> bool:
+    """Return whether this is `lookahead`, a reference for the possible gain rather than a usable controller.
+
+    It is played only where it is named, and never counts as the best rule.
+    """
+    return rule.partition(":")[0] == LOOKAHEAD
 
 
 @dataclass(frozen=True)

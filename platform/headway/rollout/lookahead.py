@@ -15,8 +15,8 @@ from headway.contracts import (
     Rule,
     generator,
 )
+from headway.contracts.entries import LOOKAHEAD
 
-LOOKAHEAD = "lookahead"
 STEPS, SAMPLES = 30, 8
 """Default horizon, in environment steps, and number of simulated futures."""
 _BATCH_SIZES = (16, 8, 4, 2, 1)
@@ -24,14 +24,6 @@ _BATCH_SIZES = (16, 8, 4, 2, 1)
 _MARGIN = 2.0
 """Number of standard errors by which an action must do better than the one it replaces. Without a margin,
 chance differences would undo many decisions of the base rule."""
-
-
-def is_lookahead(rule: str) -> bool:
-    """Return whether this is `lookahead`, a reference for the possible gain rather than a usable controller.
-
-    It is played only where it is named, and never counts as the best rule.
-    """
-    return rule.partition(":")[0] == LOOKAHEAD
 
 
 class Lookahead:

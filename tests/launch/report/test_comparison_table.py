@@ -5,8 +5,9 @@ import json
 import pytest
 
 from headway.events import Row
+from headway.stats.comparison import ComparisonRow
 from headway_launch.report.comparison_table import comparison_table, records
-from headway_launch.runner.comparison import Comparison, ComparisonRow
+from headway_launch.runner.comparison import Comparison
 from headway_launch.studies.learner_pairs import pair_rows
 
 

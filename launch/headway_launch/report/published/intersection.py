@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from headway.stats.comparison import SEEDS_FOR_A_CLAIM
 from headway_launch.console.number_formats import MISSING, with_interval
 from headway_launch.report.elements import Part, Section, Table
 from headway_launch.report.published.episode_metrics import (
@@ -19,7 +20,6 @@ from headway_launch.report.published.episode_metrics import (
     tasks_of,
 )
 from headway_launch.report.study_data import StudyData
-from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 if TYPE_CHECKING:
     from headway.stats.samples import Interval

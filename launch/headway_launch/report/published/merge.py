@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from headway.contracts import PublishedResult
+from headway.stats.comparison import SEEDS_FOR_A_CLAIM
 from headway.stats.intervals import difference_of_means
 from headway_launch.console.number_formats import MISSING, with_ends
 from headway_launch.report.elements import Part, Section, Table
@@ -21,7 +22,6 @@ from headway_launch.report.published.episode_metrics import (
     tasks_of,
 )
 from headway_launch.report.study_data import StudyData
-from headway_launch.runner.comparison import SEEDS_FOR_A_CLAIM
 
 if TYPE_CHECKING:
     from headway.stats.samples import Interval
