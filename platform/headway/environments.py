@@ -76,8 +76,3 @@ def _module_entry(config: EnvConfig, arguments: Iterable[str]) -> EnvEntry:
         max_copies_per_process=config.max_copies_per_process,
     )
     return module_entry(config.id, options, arguments, config.file_digest)
-
-
-def notices_of(prepared: object) -> tuple[str, ...]:
-    """Return the lines that the user should see about a prepared environment."""
-    return tuple(getattr(prepared, "notices", ()))

@@ -22,11 +22,11 @@ from headway.config.schema import (
     refuse_targets,
     suggestion,
 )
-from headway.contracts.entries import AlgoEntry, EnvEntry, RuleEntry, TrainingNotice
+from headway.contracts.entries import AlgoEntry, EnvEntry, RuleEntry
 from headway.contracts.environment import EnvSpec
 from headway.contracts.errors import HeadwayError, UnknownKeyError
 from headway.contracts.random_rule import RANDOM
-from headway.environments import chosen_env, notices_of
+from headway.environments import chosen_env
 from headway.registry import is_external, rule_entry, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
 from headway.store.run_folder import find_run
@@ -145,10 +145,8 @@ class Experiment:
             "stored: restore the file to continue, or train the new version as another cell"
         )
 
-    def prepare(
-        self, known: "dict[str, PreparedEnv] | None" = None, for_training: bool = False
-    ) -> PreparedEnv:
-        """Return the prepared environment and print its notices; those on settings only `for_training`.
+    def prepare(self, known: "dict[str, PreparedEnv] | None" = None) -> PreparedEnv:
+        """Return the prepared environment and print its notices.
 
         `known`: cache of prepared environments for experiments that differ in their algorithm only.
 
@@ -158,7 +156,7 @@ class Experiment:
         cache = {} if known is None else known
         key = self._environment_key
         if key not in cache:
-            cache[key] = self.prepare_environment(for_training)
+            cache[key] = self.prepare_environment()
         if reason := self.algo.refuses(self.algo_config, cache[key].spec):
             raise HeadwayError(f"{self.algo_name} cannot run on {self.config.env.id}: {reason}")
         return cache[key]
@@ -181,7 +179,7 @@ class Experiment:
             ) from error
 
     @prints_to_stderr()
-    def prepare_environment(self, for_training: bool = False) -> PreparedEnv:
+    def prepare_environment(self) -> PreparedEnv:
         """Return the prepared environment like `prepare`, also for an algorithm that cannot run on it: for
         rules, which need none."""
         rules = [self._rule(name) for name in self.rules]
@@ -207,10 +205,9 @@ class Experiment:
         stored, env_id = self.config.env.file_digest, self.config.env.id
         changed = not is_external(env_id) and stored not in (None, self.file_digest)
         other = [f"a file of env={env_id} is not that of the run's training; results may differ"] * changed
-        lines = (*notices_of(prepared), *chain(*map(notices_of, stages)), *large, *other)
-        for line in dict.fromkeys(lines):
-            if for_training or not isinstance(line, TrainingNotice):
-                print_line(f"headway: {line}")
+        of_data = chain(*(getattr(data, "notices", ()) for data in (prepared, *stages)))
+        for line in dict.fromkeys((*of_data, *large, *other)):
+            print_line(f"headway: {line}")
         return PreparedEnv(self.env, prepared, tuple(stages), spec)
 
     def _training_data(self, config: object, prepared: object) -> object:

@@ -1,6 +1,6 @@
 """Notices before training: its extent, and settings that a user may not have meant."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from headway.config.experiment import NO_PRESET, ExperimentConfig
@@ -11,13 +11,15 @@ from headway_launch.experiments.experiment_file import split_experiment_file
 
 _INTERVALS = 6
 """Evaluations after the first that a suggested `evaluation.every` leaves, at least."""
-_EPISODE_STEPS = 80
-"""Assumed steps of an episode, whose length is known only once one has been played: a guess, with which no
-experiment of the project gets the notice on a long last evaluation."""
 
 
-def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -> None:
-    """Print each notice about the `experiments` that `overrides` describe once."""
+def print_notices(
+    overrides: Sequence[str], experiments: Sequence[Experiment], trained: Iterable[object] = ()
+) -> None:
+    """Print each notice about the `experiments` that `overrides` describe once.
+
+    `trained`: prepared data of the environments of new runs, which may have a tuple `training_notices`.
+    """
     file, words = split_experiment_file(overrides)
     lines = []
     if not file and not any(word.lstrip("+").startswith(("algo=", "experiment=")) for word in words):
@@ -25,6 +27,7 @@ def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -
         chosen = "" if preset == NO_PRESET else f", with preset={preset}"
         lines.append(f"no algo is named: algo={experiments[0].algo_name}{chosen} (`headway list algos`)")
     lines += [line for each in experiments for line in _about(each.config, len(each.rules))]
+    lines += [line for data in trained for line in getattr(data, "training_notices", ())]
     for line in dict.fromkeys(lines):
         print_line(f"headway: {line}")
 
@@ -32,20 +35,13 @@ def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -
 def _about(config: ExperimentConfig, rules: int) -> Iterator[str]:
     evaluation, steps = config.evaluation, config.env_steps
     evaluations = 1 + config.evaluations_until(config.iterations)
-    yield _extent(config, evaluations)
+    yield _extent(config, evaluations, rules)
     if evaluation.every >= steps and evaluations == 2 and config.iterations > 1:
         every = steps // _INTERVALS
         every -= every % 10 ** (len(str(every)) - 1)  # one significant digit
         yield (
             f"evaluation.every={evaluation.every:_} is not below env_steps={steps:_}: the curve has "
             f"two points, before and after training; set evaluation.every={max(every, 1):_}"
-        )
-    last, least = evaluation.last_episodes, evaluation.episodes
-    if rules and last > least and steps < _EPISODE_STEPS * last * (rules + len(evaluation.modes)):
-        yield (
-            f"the last evaluation, of the policies and of {counted(rules, 'rule')} on {last} episodes each, "
-            f"may take longer than {steps:,} steps of training: set evaluation.final_episodes={least}, "
-            "or fewer rules in evaluation.rules"
         )
     if (
         evaluation.final_episodes < evaluation.episodes
@@ -57,9 +53,10 @@ def _about(config: ExperimentConfig, rules: int) -> Iterator[str]:
         )
 
 
-def _extent(config: ExperimentConfig, evaluations: int) -> str:
+def _extent(config: ExperimentConfig, evaluations: int, rules: int) -> str:
     """Return the steps, iterations and evaluations of a run, and the folders of its environment."""
     steps, iterations = config.iterations * config.iteration_steps, config.iterations
+    last = f", the last beside {counted(rules, 'rule')} on {config.evaluation.last_episodes} episodes each"
     rounded = "" if steps == config.env_steps else f" (env_steps={config.env_steps:_} rounded up)"
     folders = [
         f"; env.args.{key}={value}"
@@ -69,7 +66,7 @@ def _extent(config: ExperimentConfig, evaluations: int) -> str:
     return (
         f"{steps:,} steps per run{rounded}, in {counted(iterations, 'iteration')} of "
         f"{config.iteration_steps:,} (rollout.copies x rollout.steps), {evaluations:,} evaluations"
-        + "".join(folders)
+        + "".join((last if rules else "", *folders))
     )
 
 

@@ -131,7 +131,7 @@ def new_jobs(
     environment's file has changed since its digest was stored.
     """
     experiment.require_unchanged_files()
-    environment = experiment.prepare(known, for_training=True)
+    environment = experiment.prepare(known)
     requested, rollout = experiment.config, experiment.config.rollout
     if reason := experiment.algo.refuses_budget(experiment.algo_config, requested.iterations):
         raise HeadwayError(
@@ -161,6 +161,12 @@ def new_jobs(
         )
     parent = parent_run(experiment, jobs[0].training.plan.policy)
     return tuple(job.with_parent(parent) for job in jobs)
+
+
+def trained_environments(cells: Sequence[CellPlan]) -> list[object]:
+    """Return the prepared data of the training environments of new jobs, of the first stage."""
+    new = [job for cell in cells for job in cell.jobs if not job.resumed]
+    return [job.training.plan.training_prepared for job in new]
 
 
 def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfig:

@@ -29,7 +29,6 @@ from headway.adapters.pettingzoo import NO_OPTIONS, AdapterOptions, ParallelEnvB
 from headway.config.schema import nearest
 from headway.config.signatures import argument_record, as_tuples, takes_any_arguments
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, Observations, RandomRule, RuleEntry
-from headway.contracts.entries import TrainingNotice
 from headway.contracts.errors import one_line
 
 _PROBE_STEPS, _PROBE_SECONDS, _PROBE_OBSERVATIONS = 100, 2.0, 20
@@ -54,6 +53,8 @@ class ModuleEnv:
     """The file, if `module` is its path."""
     notices: tuple[str, ...] = ()
     """Lines for the user."""
+    training_notices: tuple[str, ...] = ()
+    """Lines for the user about settings of a new training."""
 
     def make(self) -> Any:  # noqa: ANN401 - PettingZoo comes without types
         """Return a new ParallelEnv. Raises HeadwayError if the module or the arguments cannot be used."""
@@ -174,15 +175,17 @@ def _prepare(named: ModuleEnv, config: Any) -> ModuleEnv:  # noqa: ANN401 - its 
     env = prepared.make()
     groups = _groups(getattr(env, "possible_agents", ()))
     played = _play_randomly(module, env, options)
-    notices = (*prepared.notices, *played.outside)
-    if options.shared_reward is None and played.pays_all_alike:
-        line = (
-            f"all agents of {module} got equal rewards in a few steps of random play: if they always do, set "
-            "env.shared_reward=true, so that a central critic learns the team's return (false: no notice)"
-        )
-        notices += (TrainingNotice(line),)
+    alike = (
+        f"all agents of {module} got equal rewards in a few steps of random play: if they always do, set "
+        "env.shared_reward=true, so that a central critic learns the team's return (false: no notice)"
+    )
     env.close()
-    return replace(prepared, options=replace(options, groups=groups), notices=notices)
+    return replace(
+        prepared,
+        options=replace(options, groups=groups),
+        notices=(*prepared.notices, *played.outside),
+        training_notices=(alike,) * (options.shared_reward is None and played.pays_all_alike),
+    )
 
 
 @dataclass

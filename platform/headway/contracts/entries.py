@@ -36,13 +36,6 @@ def _no_anchor(config: Any, kl_coeff: float) -> str | None:  # noqa: ANN401 - an
     )
 
 
-class TrainingNotice(str):
-    """A line for the user about a setting of training, of no use where runs that exist are looked at.
-
-    Prepared data may have such lines and others in a tuple `notices`.
-    """
-
-
 class Rule(Protocol):
     """A classical controller. It may inspect the environment itself, not only the observations.
 

@@ -81,6 +81,12 @@ class Wrapped:
     notices: tuple[str, ...] = ()
     """Lines for the user."""
 
+    @property
+    def training_notices(self) -> tuple[str, ...]:
+        """Lines for the user about settings of a new training."""
+        notices: tuple[str, ...] = getattr(self.prepared, "training_notices", ())
+        return notices
+
     def batch(self, copies: int) -> BatchedEnv:
         """Return the wrapped environment: `EnvEntry.make` of wrapped entries."""
         if self.parallel is None or self.options is None:

@@ -253,7 +253,7 @@ def test_equal_rewards_are_noticed(
     zoo: str, module: str, shared: bool | None, arguments: dict[str, Any], said: bool
 ) -> None:
     """Unless the user said how rewards are, nothing was paid, or there is but one agent."""
-    notices = prepared(f"{zoo}.{module}", AdapterOptions(shared_reward=shared), **arguments).notices
+    notices = prepared(f"{zoo}.{module}", AdapterOptions(shared_reward=shared), **arguments).training_notices
     assert [SHARED in line for line in notices] == [True] * said
 
 
@@ -263,7 +263,7 @@ def test_equal_rewards_are_noticed_behind_wrappers(zoo: str) -> None:
     for names in (["frame_stack_v1"], ["black_death_v3"]):
         entry = module_entry(f"{zoo}.paid_v0")
         wrapped = wrapped_entry("paid", entry, listed_wrappers([{"name": name} for name in names]))
-        assert [SHARED in line for line in wrapped.prepare(wrapped.config()).notices] == [True]
+        assert [SHARED in line for line in wrapped.prepare(wrapped.config()).training_notices] == [True]
 
 
 @pytest.mark.parametrize(("seen", "said"), [(-9.0, 0), (-9.00001, 0), (INF, 1), (-12.0, 1)])
@@ -279,7 +279,7 @@ def test_an_observation_outside_its_space_is_noticed(zoo: str, seen: float, said
 @pytest.mark.slow
 def test_a_slow_environment_is_not_played_for_long(zoo: str) -> None:
     begun = time.monotonic()
-    assert len(prepared(f"{zoo}.paid_v0", seconds=0.5).notices) == 1
+    assert len(prepared(f"{zoo}.paid_v0", seconds=0.5).training_notices) == 1
     assert time.monotonic() - begun < 6
     assert 1 < sys.modules[f"{zoo}.paid_v0"].played[-1] < 8
 
