@@ -5,16 +5,15 @@ import subprocess
 import sys
 from multiprocessing import get_context
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 
 import pytest
 from small_runs import SMALL
 
+from headway.config.experiment import StoreConfig
 from headway.events import Failed
 from headway.store.index import RunIndex
-from headway.store.session import Run
-from headway_launch.runner.recorder import JobRecorder
+from headway.store.session import Cell, SessionStore
+from headway_launch.runner.recorder import TRACEBACK, JobRecorder
 from headway_launch.runner.training_process import TrainingProcess
 
 TINY = ("env=trivial", "algo=ippo", *SMALL, "backend=serial", "env_steps=256")
@@ -53,8 +52,11 @@ def test_a_process_killed_in_the_middle_of_an_event_is_at_its_end(word: bytes) -
 def test_a_store_that_cannot_keep_a_traceback_does_not_end_the_other_jobs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = SimpleNamespace(directory=tmp_path / "absent", record=SimpleNamespace(durable_iteration=0))
-    recording = JobRecorder([cast(Run, run)])
+    store = SessionStore(StoreConfig(root=str(tmp_path)))
+    run = Cell(store, "study", "trivial", "ippo", {}).begin_run(0, "seed: 0\n", {}, iterations=1)
+    (run.directory / TRACEBACK).mkdir()
+    recording = JobRecorder([run])
     recording.take(Failed("it broke", "Traceback"))
     assert recording.failure is not None
     assert "traceback.txt" in capsys.readouterr().err
+    store.close()
