@@ -59,6 +59,7 @@ _LARGE = (
 )
 _MAY_DIFFER = ("shared_reward", "shared_in_groups", "snapshots")
 """Parts of a specification in which the training environment may differ from that of evaluation."""
+_KEYS = frozenset(field.name for field in fields(ExperimentConfig))
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 
 
@@ -290,6 +291,9 @@ def _composer_of(words: Sequence[str], file: Path | None = None) -> Callable[[Ma
         except UnknownKeyError as error:
             if _has_key(values, error.key) and not _has_key(given, error.key):
                 raise HeadwayError(f"preset={preset} does not fit this experiment: {error}") from error
+            group, _, key = error.key.rpartition(".")
+            if group in ("algo", "rollout") and (ours := ALIASES.get(key)) in _KEYS:
+                raise UnknownKeyError(error.key, _EXPERIMENT, f"did you mean {ours}?") from error
             raise
 
     return composed
@@ -482,7 +486,7 @@ def _hydra_override(override: str, overrides: Sequence[str]) -> str:
 def _require_known_key(key: str, value: str, overrides: Sequence[str]) -> None:
     """Raise HeadwayError, with a suggestion, if a key is neither a key nor a group of the experiment."""
     head, _, rest = key.partition(".")
-    names = {field.name for field in fields(ExperimentConfig)} | {"experiment", "preset"}
+    names = _KEYS | {"experiment", "preset"}
     if head in names or head == "hydra":
         return
     ours = ALIASES.get(key, key)

@@ -84,6 +84,7 @@ def test_an_algorithm_brings_the_rollout_that_files_and_options_override(
         ("gae_lambda=0.9", "algo.gae_lambda=0.9"),
         ("steps=50", "env_steps or rollout.steps or env.args.steps=50"),
         ("total_timesteps=50", "env_steps=50"),
+        ("rollout.total_timesteps=50", "env_steps"),
         ("learning_rate=1e-3", "algo.lr=1e-3"),
     ],
 )
