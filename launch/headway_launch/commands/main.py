@@ -4,6 +4,7 @@ import argparse
 import os
 import re
 import shlex
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -152,6 +153,8 @@ def main() -> None:
     """Entry point of the `headway` script: run the command line and exit with its code."""
     if "_ARGCOMPLETE" in os.environ:  # set by the function that completes words in a shell
         _complete(os.environ["COMP_LINE"].split())
+    # Where nothing else is arranged, such as before training, SIGTERM ends a command as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(run(sys.argv[1:], typed=True))
 
 

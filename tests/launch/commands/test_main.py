@@ -1,5 +1,6 @@
 import json
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -272,3 +273,16 @@ def test_a_word_that_replaces_another_is_named_if_a_user_typed_it(capsys: pytest
     assert "headway: ++algo.lr=3 replaces algo.lr=1\n" in (typed := capsys.readouterr().err)
     assert run(words) == 2
     assert capsys.readouterr().err == typed.replace("headway: ++algo.lr=3 replaces algo.lr=1\n", "")
+
+
+def test_sigterm_ends_a_command_as_ctrl_c_does(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(main, "_dispatch", lambda *_: signal.raise_signal(signal.SIGTERM))
+    try:
+        with pytest.raises(SystemExit, match="130"):
+            main.main()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert capsys.readouterr().err == "headway: stopped\n"
