@@ -28,9 +28,9 @@ _COLOURS = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9",
     "#882255", "#999933", "#332288", "#117733",
 )  # fmt: skip
-_LINE_STYLES: tuple[Any, ...] = ("-", (0, (5, 1)), (0, (1, 1)))
-"""Line styles of the first, second and third round through the colours."""
-_MARKERS = ("o", "s", "^")
+_LINE_STYLES: tuple[Any, ...] = ("-", (0, (5, 1)), (0, (1, 1)), (0, (5, 1, 1, 1)), (0, (5, 1, 1, 1, 1, 1)))
+"""Line styles of the first to the fifth round through the colours."""
+_MARKERS = ("o", "s", "^", "D", "v")
 """Markers of the same rounds in scatter plots."""
 FEWEST_SEEDS = 3
 """Minimum number of seeds for a band: with two, the 95% interval is 12.7 times as wide as they are apart."""

@@ -103,6 +103,10 @@ def test_equal_costs_do_not_fill_the_axis(costs: tuple[float, float], least: flo
     assert low <= min(costs) <= max(costs) <= high
 
 
+def test_fifty_lines_have_styles_of_their_own() -> None:
+    assert len({str(style) for style in colours([str(name) for name in range(50)]).values()}) == 50
+
+
 def _curve(seeds: int) -> Figure:
     points = {"env_steps": [0, 10], "mean": [0.0, 4.0], "low": [-1.0, 3.0], "high": [1.0, 5.0]}
     means = pd.DataFrame({"task": "t", "controller": "mappo", "runs": seeds, **points})
