@@ -1,9 +1,11 @@
 """The rules of an experiment's environment: those that can play it, and the episodes that they play."""
 
 from collections.abc import Sequence
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 from headway.contracts.errors import HeadwayError
+from headway.contracts.random_rule import RANDOM
 from headway.events import Row
 from headway.registry import rule_entry
 from headway_launch.console.output import print_line, prints_to_stderr
@@ -12,6 +14,10 @@ if TYPE_CHECKING:
     from headway.rollout.episodes import OnStep
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.experiments.compose import Experiment, PreparedEnv
+
+_CHECKED_STEPS = 5
+"""Steps of each rule before training, in which its actions are checked."""
+
 
 def rules_to_play(environment: "PreparedEnv", names: str | None, option: str = "--rules") -> tuple[str, ...]:
     """Return the rules to play: the distinct ones in `names` (`a,b`) or, by default, all that can be played
@@ -41,6 +47,28 @@ def _refusal(environment: "PreparedEnv", rule: str) -> str | None:
     except HeadwayError as error:
         return str(error)
     return None
+
+
+@prints_to_stderr()
+def require_valid_actions(experiment: "Experiment", prepared: object) -> None:
+    """Play a few steps of each rule to evaluate. Raises HeadwayError for an invalid action.
+
+    Environments with a limit of copies per process are not played: simulators take seconds to start.
+    """
+    from headway.rollout.episodes import evaluation_seeds
+
+    entry = experiment.env
+    names = [name for name in experiment.rules if name in entry.rules and entry.rules[name] is not RANDOM]
+    if not names:
+        return
+    with closing(entry.make(prepared, 1)) as env:
+        if env.spec.max_copies_per_process is not None:
+            return
+        for name in names:
+            rule = rule_entry(entry, name).make(prepared)
+            observed = env.reset(evaluation_seeds(experiment.config.evaluation.seed, 0, 1))
+            for _ in range(_CHECKED_STEPS):
+                _, observed = env.step(rule.act(env, observed))
 
 
 @prints_to_stderr()

@@ -20,6 +20,7 @@ from headway.store.session import SessionStore
 from headway.wording import counted, environment_name
 from headway_launch.console.output import ignore_closed_pipe, own_name, print_line, relative
 from headway_launch.experiments.parameters import session_settings
+from headway_launch.experiments.rules import require_valid_actions
 from headway_launch.runner.cell import Rules, SessionCell
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
 from headway_launch.runner.comparison import Comparison, print_findings
@@ -67,6 +68,9 @@ class Runner:
             self._shares = self._cluster.share_cores(self._config.backend, planned, usable_cores())
             require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
             compile_kernels_of([cell.experiment for cell in cells if cell.jobs])
+            environments = {id(job.training.plan.prepared): job for job in planned}
+            for job in environments.values():
+                require_valid_actions(job.experiment, job.training.plan.prepared)
             self._store = SessionStore(self._config.store)
             rows = RunIndex(Path(self._config.store.root)).rows(self._config.study)
             self._cells = [SessionCell(self._store, cell, rows) for cell in cells]

@@ -103,6 +103,23 @@ def test_a_notice_on_the_rewards_is_printed_before_training_only(empty_folder: P
         assert notice not in output(*words).err
 
 
+def test_a_rule_with_invalid_actions_is_refused_before_training(empty_folder: Path) -> None:
+    rule = """
+from headway.contracts import RuleEntry
+
+class Fast:
+    def act(self, env, observed):
+        return np.full(observed.alive.shape, 2)
+
+RULES = {"fast": RuleEntry("drives too fast", lambda prepared: Fast())}
+"""
+    Path("fast.py").write_text(SHUTTLE + rule)
+    words = ("run", "env=./fast.py", "algo=ippo", *SMALL, "evaluation.rules=[fast]")
+    line = "headway: rule fast returned action 2; Discrete(2) has 0 to 1; correct the rule\n"
+    assert failed(*words).endswith(line)
+    assert stored_rows() == []
+
+
 @pytest.mark.usefixtures("_file")
 def test_files_in_several_forms_of_overrides() -> None:
     file = str(FILE.resolve())
