@@ -14,7 +14,7 @@ from headway.contracts import Discrete, child_seeds
 from headway_envs.bus.config import BusConfig, NoiseConfig
 from headway_envs.bus.entry import ENTRY
 from headway_envs.bus.env import BusBatchedEnv
-from headway_envs.bus.kernel.layout import DRIVING, STANDING
+from headway_envs.bus.kernel.layout import DEPOT, DISPATCHED, DRIVING, SKIP_NEXT, STANDING
 from headway_envs.bus.kernel.passengers import update_queue
 from headway_envs.bus.prepare import prepare
 from headway_envs.bus.prepared import Prepared
@@ -229,6 +229,24 @@ def test_masks_are_those_of_the_stop_at_which_a_bus_decides_next(
         _, observed = env.step(np.full((1, 3), action if next_stop == at else 0))
     assert masks[2].all()
     assert not masks[3].any()
+
+
+def test_two_buses_that_decide_at_a_terminal_before_either_leaves_do_not_both_skip_the_next_stop() -> None:
+    """They leave after a delay. The first to leave passes the stop's queue, the second serves it."""
+    noise = replace(hand_made().config.noise, dispatch_s=1200.0)
+    config = replace(hand_made().config, noise=noise)
+    env = BusBatchedEnv(replace(hand_made(), config=config), 1, traced=True)
+    env.reset(np.array([5], np.uint64))
+    while env.world.slots["phase"][0, 1] == DEPOT:
+        env.step(np.array([[SKIP, SKIP, 0]]))
+    assert env.world.slots["phase"][0, :2].tolist() == [DISPATCHED, DISPATCHED]
+    assert env.world.slots["next_order"][0, :2].tolist() == [SKIP_NEXT, SKIP_NEXT]
+    stop_1 = env.trace.first[:2] + 1
+    while np.isnan(env.trace.left[0, stop_1]).any():
+        env.step(np.zeros((1, 3), np.int64))
+    boarded = env.trace.boarded[0, stop_1][np.argsort(env.trace.left[0, stop_1])]
+    assert boarded[0] == 0
+    assert boarded[1] > 0
 
 
 def test_passengers_are_conserved_and_a_snapshot_continues_bit_for_bit() -> None:

@@ -170,7 +170,11 @@ def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         # Trips may leave out of order: skip those that have left.
         while pattern.next_trip < last and world.departed[c, pattern.next_trip]:
             pattern.next_trip += 1
-    world.calls[c, slot.call + 1].skipped = slot.next_order == SKIP_NEXT
+    following = world.calls[c, slot.call + 1]
+    # From a terminal, another bus may have left since the decision, and skip the same stop.
+    if slot.next_order == SKIP_NEXT and following.skipped:
+        slot.next_order = 0
+    following.skipped = slot.next_order == SKIP_NEXT
     slot.phase = DRIVING
     slot.left = time
     slot.held = 0.0
