@@ -16,6 +16,7 @@ from headway.stats.comparison import (
     SEEDS_FOR_A_CLAIM,
     ComparisonRow,
     Gap,
+    best_learner,
     best_rule,
     comparison_rows,
     gaps,
@@ -46,6 +47,8 @@ class Comparison:
     """Per metric: learners, then rules by their mean return."""
     episodes: int = 0
     """Number of episodes that each policy and each rule played."""
+    best: ComparisonRow | None = None
+    """The best learner's difference of returns, by `best_learner`; None without learners or rules."""
 
     @classmethod
     def of(
@@ -66,7 +69,8 @@ class Comparison:
         rows = comparison_rows(rules, learned, names, reference)
         metrics = {row.metric: readable_metric(row.metric, described.get(row.metric, "")) for row in rows}
         played = [*rules.values(), *(by_seed[0] for by_seed in learned.values() if by_seed)]
-        return cls(title, reference, metrics, rows, min(map(len, played), default=0))
+        best = best_learner(rules, learned, reference) if learned and reference is not None else None
+        return cls(title, reference, metrics, rows, min(map(len, played), default=0), best)
 
     @property
     def controllers(self) -> list[str]:
@@ -141,9 +145,9 @@ class Comparison:
         """The sentence on the best learner and the reference; None without a learner, a rule or returns."""
         of_return = [row for row in self.rows if row.metric == "return"]
         learners = [row for row in of_return if row.seeds is not None]
-        if not learners or self.reference is None:
+        best, digits = self.best, self._decimals.get("return")
+        if not learners or best is None:
             return None
-        best, digits = max(learners, key=lambda row: row.mean), self._decimals.get("return")
         assert best.difference is not None
         rules = [row for row in of_return if row.seeds is None and not is_lookahead(_rule(row))]
         is_best = len(rules) > 1 and _rule(rules[0]) == self.reference
@@ -152,7 +156,9 @@ class Comparison:
         who += f", the best of {len(learners)} learners" if len(learners) > 1 else ""
         interval = ""
         if best.low is not None and best.high is not None:
-            interval = f" [95%: {formatted(best.low, digits)}, {formatted(best.high, digits)}]"
+            ends = formatted(best.low, digits), formatted(best.high, digits)
+            corrected = ", corrected for choosing the best" if len(learners) > 1 else ""
+            interval = f" [95%{corrected}: {', '.join(ends)}]"
             if best.low <= 0 <= best.high:
                 by = formatted(best.difference, digits, "+")
                 return f"return: {who}, does not differ significantly from {reference}: {by}{interval}"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from headway.contracts.entries import is_lookahead
 from headway.events import LABELS, Row
+from headway.stats.samples import CONFIDENCE
 
 if TYPE_CHECKING:
     from headway.stats.samples import Interval
@@ -33,7 +34,7 @@ class ComparisonRow(NamedTuple):
     low: float | None = None
     high: float | None = None
     interval: str | None = None
-    """Kind of the 95% interval of the difference, from `low` to `high`; None: only one episode was played."""
+    """Kind of the interval of the difference, from `low` to `high`; None: only one episode was played."""
 
 
 def comparison_rows(
@@ -41,6 +42,7 @@ def comparison_rows(
     learned: Mapping[str, Sequence[Sequence[Row]]],
     names: Sequence[str],
     reference: str | None,
+    confidence: float = CONFIDENCE,
 ) -> list[ComparisonRow]:
     """Return one row per metric and controller: per metric, learners, then rules by their mean return.
 
@@ -58,12 +60,28 @@ def comparison_rows(
             if reference is not None and metric in with_difference and name != f"{RULE}{reference}":
                 of_reference = metric_values(rules[reference], metric)
                 if len(of_reference) > 1:
-                    found = difference(values, of_reference)
+                    found = difference(values, of_reference, confidence)
                     row = ComparisonRow(*row[:4], found.estimate, found.low, found.high, found.method)
                 else:
                     row = row._replace(difference=row.mean - of_reference[0])
             rows.append(row)
     return rows
+
+
+def best_learner(
+    rules: Mapping[str, Sequence[Row]], learned: Mapping[str, Sequence[Sequence[Row]]], reference: str
+) -> ComparisonRow:
+    """Return the row of the learner with the highest mean return, compared with the rule `reference`.
+
+    Its interval is corrected for choosing the best of n learners: it has the confidence 1 - 5% / n
+    (Bonferroni), with which all n contain their true differences with a probability of at least 95%.
+    """
+    name = max(learned, key=lambda learner: mean_return(learned[learner]))
+    confidence = 1 - (1 - CONFIDENCE) / len(learned)
+    (row,) = comparison_rows(
+        {reference: rules[reference]}, {name: learned[name]}, ("return",), reference, confidence
+    )[:1]
+    return row
 
 
 def best_rule(rules: Mapping[str, Sequence[Row]]) -> str | None:
@@ -95,17 +113,19 @@ def _first_metrics(played: Iterable[Sequence[Sequence[Row]]]) -> list[str]:
     return ["return", *everywhere[:_FIRST_METRICS]]
 
 
-def difference(learned: Sequence[Sequence[float]], rule: Sequence[float]) -> "Interval":
+def difference(
+    learned: Sequence[Sequence[float]], rule: Sequence[float], confidence: float = CONFIDENCE
+) -> "Interval":
     """Return the paired difference of a metric between a learner (seeds x episodes) and a rule (episodes).
 
-    The 95% interval is Student's t over episodes for one seed, over seeds and episodes for more. Raises
+    The interval is Student's t over episodes for one seed, over seeds and episodes for more. Raises
     ValueError for fewer than two episodes.
     """
     from headway.stats.intervals import paired_difference, paired_difference_over_seeds
 
     if len(learned) == 1:
-        return paired_difference(learned[0], rule)
-    return paired_difference_over_seeds(learned, [rule] * len(learned))
+        return paired_difference(learned[0], rule, confidence)
+    return paired_difference_over_seeds(learned, [rule] * len(learned), confidence)
 
 
 @dataclass(frozen=True)

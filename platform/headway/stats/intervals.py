@@ -11,24 +11,26 @@ from numpy.typing import ArrayLike, NDArray
 from headway.stats.samples import CONFIDENCE, Interval, as_sample
 
 
-def paired_difference(a: ArrayLike, b: ArrayLike) -> Interval:
+def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """Return the mean of a - b with its interval by Student's t over evaluation episodes.
 
     `a` and `b` have shape (episodes,), entry j from evaluation episode j. Raises ValueError for fewer than
     two episodes, different shapes, or values that are not finite.
     """
-    mean, half = mean_and_half_width(_differences(a, b, 1))
+    mean, half = mean_and_half_width(_differences(a, b, 1), confidence)
     return Interval(float(mean), float(mean - half), float(mean + half), "t over episodes")
 
 
-def mean_and_half_width(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def mean_and_half_width(
+    values: NDArray[np.float64], confidence: float = CONFIDENCE
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the mean over axis 0, of length at least 2, and its interval's half width by Student's t."""
     # The quantile of Student's t; scipy.stats takes thrice as long to import.
     from scipy.special import stdtrit
 
     count = len(values)
     error = values.std(axis=0, ddof=1) / np.sqrt(count)
-    return values.mean(axis=0), stdtrit(count - 1, (1 + CONFIDENCE) / 2) * error
+    return values.mean(axis=0), stdtrit(count - 1, (1 + confidence) / 2) * error
 
 
 def prediction_interval(values: ArrayLike, confidence: float) -> tuple[float, float]:
@@ -47,7 +49,7 @@ def prediction_interval(values: ArrayLike, confidence: float) -> tuple[float, fl
     return float(sample.mean() - half), float(sample.mean() + half)
 
 
-def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike) -> Interval:
+def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """Return the mean of a - b with an interval over both training seeds and evaluation episodes.
 
     `a` and `b` have shape (seeds, episodes), entry (i, j) from training seed i on evaluation episode j. The
@@ -70,8 +72,8 @@ def paired_difference_over_seeds(a: ArrayLike, b: ArrayLike) -> Interval:
     """
     difference = _differences(a, b, 2)
     mean = float(difference.mean())
-    _, of_seeds = mean_and_half_width(difference.mean(axis=1))
-    _, of_episodes = mean_and_half_width(difference.mean(axis=0))
+    _, of_seeds = mean_and_half_width(difference.mean(axis=1), confidence)
+    _, of_episodes = mean_and_half_width(difference.mean(axis=0), confidence)
     half = float(np.hypot(of_seeds, of_episodes))
     return Interval(mean, mean - half, mean + half, "t over seeds and episodes")
 

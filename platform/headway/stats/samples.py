@@ -20,7 +20,7 @@ class MeanStd:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """An estimate with its 95% interval."""
+    """An estimate with its interval, of 95% unless said otherwise."""
 
     estimate: float
     low: float

@@ -62,6 +62,19 @@ def test_the_answer_is_one_sentence(returns: list[float], seeds: int, answer: st
     assert compared([], **rules).answer is compared([episodes(*returns)]).answer is None
 
 
+def test_the_interval_of_the_best_of_two_learners_is_corrected() -> None:
+    """Student's t of two episodes is the Cauchy distribution, whose quantiles are tan(pi (p - 1/2)): 12.7 at
+    0.975 and 25.5 at 0.9875."""
+    rules, others = {"hold": episodes(0.0, 0.0)}, {"ia2c": [episodes(0.0, 1.0)]}
+    alone = Comparison.of("", {}, rules, {"ippo": [episodes(19.0, 21.0)]}).answer
+    assert alone == "return: ippo, 1 seed, is 20 above the rule hold [95%: 7, 33]"
+    best = Comparison.of("", {}, rules, {"ippo": [episodes(19.0, 21.0)], **others}).answer
+    assert best == (
+        "return: ippo, 1 seed, the best of 2 learners, does not differ significantly from the rule hold: "
+        "+20 [95%, corrected for choosing the best: -5, 45]"
+    )
+
+
 @pytest.mark.parametrize(
     ("seeds", "count", "lines"),
     [
