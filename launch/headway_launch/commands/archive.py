@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from headway.config.schema import flat
 from headway.contracts.errors import HeadwayError
 from headway_launch.commands.arguments import add_store_argument, existing_store
 
@@ -102,6 +101,7 @@ def _needed(runs: "RunSelection") -> tuple[list["RunRow"], list[str]]:
     that the archive does not hold."""
     from headway.adapters.env_file import is_file_id
     from headway.store.index import RunIndex
+    from headway_launch.experiments.parameters import flat
     from headway_launch.studies.runs import configuration
 
     started, files = set[str](), dict[str, None]()

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from headway.config.schema import flat
 from headway_launch.commands.arguments import add_store_argument, existing_store
 
 if TYPE_CHECKING:
@@ -57,6 +56,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
 def _settings(run: "StoredRun") -> Mapping[str, str]:
     """Return settings and tags by dotted name, without the store."""
+    from headway_launch.experiments.parameters import flat
+
     mapping = {name: value for name, value in run.mapping.items() if name != "store"}
     return {**{name: str(value) for name, value in flat(mapping)}, **run.record.tags}
 

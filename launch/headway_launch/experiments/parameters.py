@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from headway.config.experiment import ExperimentConfig
-from headway.config.schema import flat, plain
+from headway.config.schema import plain
 
 if TYPE_CHECKING:
     from headway_launch.experiments.compose import Experiment
@@ -65,6 +65,17 @@ def _start(start: Mapping[str, Any]) -> dict[str, Any]:
     if start.get("rule"):
         return {key: start[key] for key in ("rule", "env_steps")} | anchored
     return {"run": start["run"]} | anchored if start.get("run") else {}
+
+
+def flat(mapping: Mapping[str, Any], path: str = "", with_empty: bool = False) -> list[tuple[str, Any]]:
+    """Return nested mappings as (dotted name, value) pairs; `with_empty`: keep empty mappings as values."""
+    items: list[tuple[str, Any]] = []
+    for key, value in mapping.items():
+        if isinstance(value, Mapping) and (value or not with_empty):
+            items += flat(value, f"{path}{key}.", with_empty)
+        else:
+            items.append((f"{path}{key}", value))
+    return items
 
 
 def identity(mapping: Mapping[str, Any]) -> str:

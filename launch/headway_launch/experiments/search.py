@@ -7,13 +7,13 @@ from math import ceil, prod
 from typing import Any, Literal
 
 from headway.config.experiment import ExperimentConfig
-from headway.config.schema import build, flat, plain, suggestion
+from headway.config.schema import build, plain, suggestion
 from headway.contracts.checks import require_at_least, require_key, require_value
 from headway.contracts.errors import HeadwayError
 from headway.registry import algo_entries
 from headway_launch.experiments.compose import Experiment, PreparedEnv, compose, composer
 from headway_launch.experiments.options import config_file, options
-from headway_launch.experiments.parameters import full_mapping, identity
+from headway_launch.experiments.parameters import flat, full_mapping, identity
 from headway_launch.experiments.search_space import (
     Space,
     Value,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from headway.config.schema import flat, plain
+from headway.config.schema import plain
 from headway.contracts.acting_policy import ActingPolicy
 from headway.contracts.entries import Rule
 from headway.contracts.errors import HeadwayError
@@ -16,6 +16,7 @@ from headway.store.run_plan import RunPlan
 from headway.training.loop import ParentRun
 from headway_launch.experiments.compose import Experiment, PreparedEnv, require_rule
 from headway_launch.experiments.override_words import written
+from headway_launch.experiments.parameters import flat
 
 _MEANINGS = ("model.activation", "normalise_observations")
 """Keys of `algo` that change what a policy computes, but not the shapes of its parameters."""

@@ -8,13 +8,13 @@ from statistics import fmean
 from typing import Any
 
 from headway.config.experiment import last_iterations
-from headway.config.schema import flat
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import read_json
 from headway.store.parquet_log import read_rows
 from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import RunRecord, find_run, read_summary, rules_file
 from headway.wording import counted
+from headway_launch.experiments.parameters import flat
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,11 @@ from typing import Any
 
 from headway.adapters.env_file import is_file_id
 from headway.config.experiment import NO_PRESET
-from headway.config.schema import flat
 from headway.contracts.errors import HeadwayError
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.options import options
 from headway_launch.experiments.override_words import written
-from headway_launch.experiments.parameters import full_mapping
+from headway_launch.experiments.parameters import flat, full_mapping
 
 _BACKEND = ("name", "workers", "parallel", "address", "worker_cpus", "learners")
 _NO_EFFECT = ("store.", "seed", "preset", "candidate", *(f"backend.{key}" for key in _BACKEND))

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from headway.config.experiment import last_iterations
-from headway.config.schema import flat
 from headway.contracts.entries import is_lookahead
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS
@@ -21,6 +20,7 @@ from headway.stats.samples import Interval, MeanStd, mean_std
 from headway.store.query import LABELS as RUN_LABELS
 from headway.store.query import RunSelection
 from headway.wording import counted, readable_metric
+from headway_launch.experiments.parameters import flat
 from headway_launch.runner.comparison import gap_lines
 from headway_launch.studies.learner_pairs import PairRow, pair_rows
 from headway_launch.studies.runs import (

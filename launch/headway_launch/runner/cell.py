@@ -13,19 +13,18 @@ from headway.events import Row
 from headway.policies.stored_spec import spec_json
 from headway.store.atomic_files import read_json
 from headway.store.checkpoint import latest_iteration
-from headway.store.index import RunRow
 from headway.store.run_folder import CHECKPOINTS, Status, folders_of_seed, rules_file, status_of_all
 from headway.store.session import Cell, Run, RunTakenError, SessionStore
 from headway.training.loop import TrainingJob
 from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.console.progress_display import CountedProgress
-from headway_launch.experiments.parameters import full_mapping, identity
+from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
 from headway_launch.experiments.rules import rule_episodes
 from headway_launch.runner.cores import CoreShares, workers_of
 from headway_launch.runner.jobs import CellPlan, PlannedJob
 from headway_launch.runner.results import SeedResult
-from headway_launch.runner.stored_run import StoredRun, parameters_in_store
+from headway_launch.runner.stored_run import StoredRun
 
 _TO_METRIC_NAME = str.maketrans(".:", "__")
 Rules = Mapping[str, list[Row]]
@@ -37,8 +36,7 @@ episode, because it counts from 0 for every evaluation seed."""
 class SessionCell:
     """The work of a session for one cell."""
 
-    def __init__(self, store: SessionStore, plan: CellPlan, rows: Sequence[RunRow] = ()) -> None:
-        """`rows`: index rows of the study's runs."""
+    def __init__(self, store: SessionStore, plan: CellPlan) -> None:
         experiment = plan.experiment
         self.plan, self.experiment, self.config = plan, experiment, experiment.config
         self.results = {folder.name: SeedResult.read(folder) for folder in plan.finished}
@@ -48,7 +46,7 @@ class SessionCell:
         """Whether the session trains or stores anything in this cell."""
         self._store = store
         names = self.config.study, self.config.env.id, experiment.algo_name
-        self._cell = Cell(store, *names, parameters_in_store(experiment, rows))
+        self._cell = Cell(store, *names, cell_parameters(experiment))
 
     @property
     def evaluation_key(self) -> str:

@@ -15,7 +15,6 @@ from headway.contracts.errors import HeadwayError
 from headway.events import Row
 from headway.rollout.workers.usage import usable_cores
 from headway.stats.comparison import mean_return
-from headway.store.index import RunIndex
 from headway.store.session import SessionStore
 from headway.wording import counted, environment_name
 from headway_launch.console.output import ignore_closed_pipe, own_name, print_line, relative
@@ -72,8 +71,7 @@ class Runner:
             for job in environments.values():
                 require_valid_actions(job.experiment, job.training.plan.prepared)
             self._store = SessionStore(self._config.store)
-            rows = RunIndex(Path(self._config.store.root)).rows(self._config.study)
-            self._cells = [SessionCell(self._store, cell, rows) for cell in cells]
+            self._cells = [SessionCell(self._store, cell) for cell in cells]
             self._jobs = [SessionJob.of(cell, job) for cell in self._cells for job in cell.plan.jobs]
             self._energy = SessionEnergy(self._config.energy, self._jobs)
         except BaseException:

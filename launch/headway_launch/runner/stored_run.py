@@ -4,19 +4,17 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from headway.contracts.errors import HeadwayError
 from headway.store.checkpoint import latest_iteration
-from headway.store.index import RunRow
-from headway.store.run_configuration import read_configuration, upgraded_parameters
-from headway.store.run_folder import CHECKPOINTS, RunRecord, cell_name, find_run
+from headway.store.run_configuration import read_configuration
+from headway.store.run_folder import CHECKPOINTS, RunRecord, find_run
 from headway.store.run_plan import RunPlan
 from headway_launch.experiments.compose import Experiment, PreparedEnv, resolve
 from headway_launch.experiments.env_args import with_env_args
-from headway_launch.experiments.parameters import cell_parameters, identity
+from headway_launch.experiments.parameters import identity
 from headway_launch.experiments.start import parent_run
 from headway_launch.runner.jobs import PlannedJob
 
@@ -94,31 +92,6 @@ class StoredRun:
             return self.experiment.file_digest != experiment.file_digest
         except HeadwayError:  # this version refuses the configuration as it is stored
             return True
-
-
-def parameters_in_store(experiment: Experiment, rows: Sequence[RunRow]) -> dict[str, str]:
-    """Return the parameters of an experiment's cell, by dotted name, as text.
-
-    If an earlier version stored the cell, without keys added since, they are the stored ones: new runs join
-    it. `rows`: index rows of the study's runs.
-    """
-    parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
-    kind = experiment.config.env.id, experiment.algo_name
-    stored = {row.cell: row.directory for row in rows if (row.environment, row.algorithm) == kind}
-    if cell_name(*kind, parameters) not in stored:
-        same = upgraded_parameters(experiment.algo_name, parameters)
-        for directory in stored.values():
-            earlier, upgraded = _parameters(directory)
-            if upgraded == same:
-                return dict(earlier)
-    return parameters
-
-
-@cache
-def _parameters(directory: str) -> tuple[Mapping[str, str], Mapping[str, str]]:
-    """Return the parameters in a run's record, as stored and `upgraded_parameters`."""
-    record = RunRecord.read(Path(directory))
-    return record.parameters, upgraded_parameters(record.algorithm, record.parameters)
 
 
 def jobs_to_resume(

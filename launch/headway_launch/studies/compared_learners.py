@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
-from headway.config.schema import flat
 from headway.contracts.errors import HeadwayError
 from headway.store.cell_names import labelled_cells
 from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.parameters import flat
 from headway_launch.runner.stored_run import StoredRun
 from headway_launch.studies.runs import finished_runs
 

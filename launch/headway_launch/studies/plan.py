@@ -16,7 +16,7 @@ from headway.store.run_folder import cell_name, plans_folder
 from headway_launch.experiments.compose import Experiment, PreparedEnv, resolve
 from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
 from headway_launch.runner.jobs import CellPlan, PlannedJob, new_jobs
-from headway_launch.runner.stored_run import StoredRun, jobs_to_resume, parameters_in_store
+from headway_launch.runner.stored_run import StoredRun, jobs_to_resume
 
 if TYPE_CHECKING:
     from headway.store.index import RunRow
@@ -41,7 +41,7 @@ class StudyProgress:
     @classmethod
     def of(cls, root: Path, experiment: Experiment, rows: Sequence["RunRow"]) -> "StudyProgress":
         """Return the progress of an experiment; `rows`: index rows of its study's runs."""
-        parameters = parameters_in_store(experiment, rows)
+        parameters = {name: str(value) for name, value in cell_parameters(experiment).items()}
         cell = cell_name(experiment.config.env.id, experiment.algo_name, parameters)
         wanted = identity(full_mapping(experiment, ()))
         by_seed: dict[int, list[tuple[RunRow, StoredRun]]] = {seed: [] for seed in experiment.config.seed}

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from headway.config.experiment import NO_PRESET
-from headway.config.schema import flat
 from headway.stats.best_of import BestOf, expected_best
 from headway.store.atomic_files import make_folder, write_text
 from headway_launch.console.number_formats import with_deviation
@@ -15,7 +14,7 @@ from headway_launch.console.tables import Value, print_table, without_empty
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.options import own_configs
 from headway_launch.experiments.override_words import written
-from headway_launch.experiments.parameters import full_mapping
+from headway_launch.experiments.parameters import flat, full_mapping
 from headway_launch.experiments.search import AlgorithmSearch
 from headway_launch.experiments.search_space import candidate_overrides, is_searched
 from headway_launch.studies.search_session import Candidate, SearchSession

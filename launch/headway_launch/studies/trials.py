@@ -7,12 +7,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from headway.config.schema import flat, nested, with_defaults
 from headway.contracts.checks import shown
 from headway.contracts.errors import HeadwayError, one_line
 from headway.store.atomic_files import make_folder
-from headway.store.run_configuration import upgraded
-from headway_launch.experiments.search import AlgorithmSearch, Search
+from headway_launch.experiments.search import AlgorithmSearch
 from headway_launch.experiments.search_space import Choices, Dimension, Value, grid
 
 if TYPE_CHECKING:
@@ -80,8 +78,7 @@ class Trials:
 
     def require_settings(self) -> None:
         """Raise HeadwayError if the search has begun with other settings."""
-        stored = self._study.user_attrs[_SETTINGS], _settings(self._part)
-        before, now = (dict(flat(with_defaults(Search, upgraded(nested(each))))) for each in stored)
+        before, now = self._study.user_attrs[_SETTINGS], _settings(self._part)
         if before != now:
             changed = next(key for key in {**now, **before} if before.get(key) != now.get(key))
             raise HeadwayError(

@@ -188,27 +188,6 @@ def describe(record_class: type, path: str = "") -> tuple[FieldDescription, ...]
     return tuple(described)
 
 
-def with_defaults(record_class: type, mapping: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the mapping of a record with the keys that it lacks at their defaults, in `plain` form.
-
-    Mappings of nested records are completed as well; unknown keys are kept.
-    """
-    hints = get_type_hints(record_class)
-    completed = dict(mapping)
-    for field in dataclasses.fields(_as_dataclass(record_class)):
-        value, hint = mapping.get(field.name), hints[field.name]
-        records = [
-            each
-            for each in (hint, *get_args(hint))
-            if isinstance(each, type) and dataclasses.is_dataclass(each)
-        ]
-        if isinstance(value, Mapping) and records:
-            completed[field.name] = with_defaults(records[0], value)
-        elif field.name not in mapping and field.init and _has_default(field):
-            completed[field.name] = plain(_default(field))
-    return completed
-
-
 def literal_choices(record_class: type) -> dict[str, tuple[Any, ...]]:
     """Return the possible values of each key whose type is a `Literal`, by key."""
     hints = get_type_hints(record_class)
@@ -225,29 +204,6 @@ def plain(value: object) -> Any:  # noqa: ANN401 - dictionaries, lists and plain
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return [plain(inner) for inner in value]
     return value
-
-
-def flat(mapping: Mapping[str, Any], path: str = "", with_empty: bool = False) -> list[tuple[str, Any]]:
-    """Return nested mappings as (dotted name, value) pairs; `with_empty`: keep empty mappings as values."""
-    items: list[tuple[str, Any]] = []
-    for key, value in mapping.items():
-        if isinstance(value, Mapping) and (value or not with_empty):
-            items += flat(value, f"{path}{key}.", with_empty)
-        else:
-            items.append((f"{path}{key}", value))
-    return items
-
-
-def nested(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values by dotted name as nested mappings: the inverse of `flat`."""
-    whole: dict[str, Any] = {}
-    for name, value in settings.items():
-        *path, last = name.split(".")
-        inner = whole
-        for part in path:
-            inner = inner.setdefault(part, {})
-        inner[last] = value
-    return whole
 
 
 def type_name(hint: Any) -> str:  # noqa: ANN401 - any annotation
@@ -397,14 +353,13 @@ def _number_hint(text: str, wanted: str) -> str:
     return "; write it without quotes"
 
 
-def _default(field: "dataclasses.Field[Any]") -> Any:  # noqa: ANN401 - any value
-    return field.default if field.default_factory is MISSING else field.default_factory()
-
-
 def _default_text(field: "dataclasses.Field[Any]") -> str:
-    if not _has_default(field):
+    if field.default is not MISSING:
+        default = field.default
+    elif field.default_factory is not MISSING:
+        default = field.default_factory()
+    else:
         return "required"
-    default = _default(field)
     if default is None or isinstance(default, bool):
         return shown(default)
     if isinstance(default, tuple | list):

@@ -90,8 +90,7 @@ class EnvEntry:
     """Frozen dataclass of the environment's arguments, the keys of `env.args`.
 
     Each field needs a docstring, which `headway list envs NAME` shows. `__post_init__` raises ValueError for
-    invalid values. The default of a field that is added later must reproduce the earlier behaviour: stored
-    runs without the key count as runs with its default.
+    invalid values.
     """
     make: Callable[[Any, int], BatchedEnv]
     """(prepared, copies) -> batched environment of `copies` copies.

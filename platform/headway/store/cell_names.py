@@ -136,14 +136,14 @@ def names_among(cells: Mapping[str, CellChoice]) -> dict[str, CellName]:
 
 def _choice(runs: Sequence[RunRow]) -> CellChoice:
     """Return the choices and settings of the cell of `runs`, read from its newest run's record."""
-    from headway.store.run_configuration import upgraded_parameters
+    from headway.registry import hashed_parameters
 
     # Older runs may have been stored without the preset or the candidate.
     run = max(runs, key=lambda each: each.started)
     record = RunRecord.read(Path(run.directory))
     preset = next((each.preset for each in runs if each.preset), "")
     policies = {_POLICIES: run.policies} if run.policies else {}
-    parameters = {**policies, **upgraded_parameters(run.algorithm, record.parameters)}
+    parameters = {**policies, **hashed_parameters(run.algorithm, record.parameters)}
     studies = " and ".join(sorted({each.study for each in runs}))
     return CellChoice(run.environment, run.algorithm, preset, parameters, record.candidate, studies)
 

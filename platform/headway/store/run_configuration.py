@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from headway.config.experiment import EvaluationConfig, RolloutConfig, without_password
-from headway.config.schema import flat, nested, with_defaults
+from headway.config.experiment import without_password
 from headway.contracts.errors import HeadwayError
-from headway.registry import algo_entries, env_entries, hashed_parameters
+from headway.registry import algo_entries
 from headway.store.atomic_files import require_regular
 
 _MAX_DEPTH = 100
@@ -64,27 +63,13 @@ def require_small_yaml(text: str) -> None:
 def upgraded(mapping: Mapping[str, Any]) -> dict[str, Any]:
     """Return a configuration stored by an earlier version in the form of this version.
 
-    Keys that it lacks are set to the value that reproduces the old behaviour: that of `VALUES_BEFORE`, for
-    hyper-parameters, or else the default. Two configurations in this form are equal if they train the same.
+    Newer hyper-parameters are set to the value that reproduces the old behaviour.
     """
     store = mapping.get("store")
     if isinstance(store, Mapping) and isinstance(uri := store.get("tracking_uri"), str):
         mapping = {**mapping, "store": {**store, "tracking_uri": without_password(uri)}}
-    complete = dict(mapping)
-    for name, record in (("rollout", RolloutConfig), ("evaluation", EvaluationConfig)):
-        if isinstance(values := mapping.get(name), Mapping):
-            complete[name] = with_defaults(record, values)
-    env, algo = mapping.get("env"), mapping.get("algo")
-    if isinstance(env, Mapping) and isinstance(args := env.get("args", {}), Mapping):
-        own = env_entries().get(str(env.get("id")))
-        complete["env"] = {**env, "args": with_defaults(own.config, args) if own else args}
-    if isinstance(algo, Mapping) and (entry := algo_entries().get(str(algo.get("name")))) is not None:
-        before = getattr(entry.config, "VALUES_BEFORE", {})
-        complete["algo"] = with_defaults(entry.record_for(algo), {**before, **algo})
-    return complete
-
-
-def upgraded_parameters(algorithm: str, parameters: Mapping[str, str]) -> dict[str, str]:
-    """Return a cell's stored parameters (dotted key -> text) in the form of this version, like `upgraded`."""
-    complete = upgraded(nested(hashed_parameters(algorithm, parameters)))
-    return {name: str(value) for name, value in flat(complete)}
+    algo = mapping.get("algo")
+    entry = algo_entries().get(algo.get("name", "")) if isinstance(algo, Mapping) else None
+    if entry is None or not isinstance(algo, Mapping):
+        return dict(mapping)
+    return {**mapping, "algo": {**getattr(entry.config, "VALUES_BEFORE", {}), **algo}}

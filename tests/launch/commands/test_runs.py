@@ -151,8 +151,8 @@ def test_bad_conditions_are_one_line(store: Path, arguments: list[str], part: st
 
 def test_two_runs_beside_each_other(store: Path) -> None:
     lines = rows_of("diff", "ippo-1f2e3d-s0", "mappo-1f2e3d-s3", "--store", str(store))
-    figures = {line[0]: line[1:] for line in lines}
-    assert (figures["algo.name"], figures["seed"]) == (["ippo", "mappo"], ["[0]", "[3]"])
+    assert lines[:3] == [["setting", "A", "B"], ["algo.name", "ippo", "mappo"], ["seed", "[0]", "[3]"]]
+    figures = {line[0]: line[1:] for line in lines[5:]}
     assert figures["final_reward"] == ["310", "290", "-20"]
     assert figures["cpu_seconds"] == ["100", "103", "3"]
     # Of the last evaluation only: the means of 10, 11 and 310, 311.

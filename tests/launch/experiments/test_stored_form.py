@@ -4,10 +4,9 @@ from typing import Any
 
 import pytest
 
-from headway.config.schema import flat
 from headway.registry import hashed_parameters
 from headway_launch.experiments.compose import compose, resolve
-from headway_launch.experiments.parameters import cell_parameters, full_mapping
+from headway_launch.experiments.parameters import cell_parameters, flat, full_mapping
 
 MODEL = {
     "hidden": [64, 64], "activation": "tanh", "actor_gain": 0.01, "initial_logits": [], "log_std": -0.5,

@@ -3,14 +3,11 @@
 from pathlib import Path
 
 import pytest
-import yaml
 from command_lines import failed, output, refused
 from stored_runs import keep_run
 
-from headway.config.schema import flat, nested
 from headway.contracts.errors import HeadwayError
-from headway.store.atomic_files import read_json, write_json, write_text
-from headway.store.cell_names import cell_names, labelled_cells
+from headway.store.atomic_files import read_json
 from headway.store.index import RunIndex
 from headway.store.run_folder import plans_folder
 from headway.store.session import SessionStore
@@ -18,7 +15,6 @@ from headway_launch.commands.main import run
 from headway_launch.experiments.sweep import compose_sweep
 from headway_launch.runner.cell import SessionCell
 from headway_launch.runner.cores import CoreShares, workers_of
-from headway_launch.runner.stored_run import StoredRun
 from headway_launch.studies.plan import StudyProgress, keep_plan, kept_plans, plan_cells
 from headway_launch.studies.session import StudySession, require_all_ended
 
@@ -57,36 +53,6 @@ def test_only_settings_that_change_the_curves_make_a_new_run(tmp_path: Path, cha
     keep_run(tmp_path, compose_sweep([*BASE, "algo=ippo"])[0], 0, "FINISHED")
     state = progress(tmp_path, "algo=ippo", change)
     assert (len(state.finished), len(state.new)) == ((1, 0) if same else (0, 1))
-
-
-def without(folder: Path, *keys: str) -> None:
-    """Rewrite a stored run as one of a version that did not have these dotted keys."""
-    record, config = read_json(folder / "run.json"), yaml.safe_load((folder / "config.yaml").read_text())
-    record["parameters"] = {key: value for key, value in record["parameters"].items() if key not in keys}
-    write_json(folder / "run.json", record)
-    settings = {key: value for key, value in flat(config, with_empty=True) if key not in keys}
-    write_text(folder / "config.yaml", yaml.safe_dump(nested(settings)))
-
-
-def test_runs_stored_before_a_key_existed_count_with_its_default(tmp_path: Path) -> None:
-    for seed in (0, 1):
-        [experiment] = compose_sweep([*BASE, "algo=ippo", f"store.root={tmp_path}"])
-        folder = tmp_path / "toys" / keep_run(tmp_path, experiment, seed, "FINISHED")
-        without(folder, "env.args.steps", "algo.gae_lambda", "rollout.block", "evaluation.episodes")
-    state = progress(tmp_path, "algo=ippo", "seed=0..2")
-    assert ([run.record.seed for run in state.finished], state.new) == ([0, 1], (2,))
-    for other in ("env.args.steps=7", "algo.gae_lambda=0.5", "evaluation.episodes=3"):
-        assert progress(tmp_path, "algo=ippo", "seed=0..2", other).new == (0, 1, 2)
-    [cell] = plan_cells([state])
-    work = SessionCell(SessionStore(experiment.config.store), cell, RunIndex(tmp_path).rows("toys"))
-    [run] = work.runs(cell.jobs[0], CoreShares(1, 1))
-    assert "algo.gae_lambda" in dict(flat(StoredRun.read(tmp_path, run.directory).mapping))
-    assert list(labelled_cells(RunIndex(tmp_path).rows("toys"))) == ["ippo"]
-    longer = compose_sweep([*BASE, "algo=ippo", "env.args.steps=7"])[0]
-    keep_run(tmp_path, longer, 0, "FINISHED")
-    names = [name.task for name in cell_names(RunIndex(tmp_path).rows("toys")).values()]
-    default = type(longer.env_config).steps
-    assert names == [f"trivial, steps={default}", "trivial, steps=7"]
 
 
 @pytest.mark.parametrize(("before", "after"), [("process", "ray"), ("ray", "process"), ("ray", "ray")])

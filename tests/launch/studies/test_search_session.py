@@ -15,7 +15,7 @@ from headway.store.parquet_log import read_rows
 from headway_launch.experiments.options import own_configs
 from headway_launch.experiments.search import read_search
 from headway_launch.runner.runner import EXIT_DONE, EXIT_STOPPED, Runner
-from headway_launch.studies import search_session, trials
+from headway_launch.studies import search_session
 from headway_launch.studies.search_results import results_of, write_preset
 from headway_launch.studies.search_session import Candidate, SearchSession
 from headway_launch.studies.trials import Trials
@@ -204,18 +204,6 @@ def test_an_experiment_that_was_edited_is_noticed(opened: Opened, tmp_path: Path
     file.write_text("env: trivial\nalgo: {gamma: 0.8}\n")
     with pytest.raises(HeadwayError, match=r"ippo: this search has begun with algo\.gamma=0\.9, not 0\.8 "):
         opened("runs").require_settings()
-
-
-def test_a_search_begun_before_a_key_existed_goes_on(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings, missing = trials._settings, ("algo.gae_lambda", "evaluation.modes", "keep")
-    with monkeypatch.context() as earlier:
-        earlier.setattr(
-            trials, "_settings", lambda part: {k: v for k, v in settings(part).items() if k not in missing}
-        )
-        opened("runs")
-    opened("runs").require_settings()
-    with pytest.raises(HeadwayError, match=r"has begun with algo\.gae_lambda=0\.95, not 0\.5 "):
-        opened("runs", "algo.gae_lambda=0.5").require_settings()
 
 
 @pytest.mark.usefixtures("untrained")
