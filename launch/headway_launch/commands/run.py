@@ -32,11 +32,11 @@ def execute(arguments: argparse.Namespace) -> int:
     """Train; return the exit code."""
     from headway_launch.experiments.compose import compose
     from headway_launch.experiments.notices import print_notices
-    from headway_launch.runner.jobs import CellPlan, plan_jobs, trained_environments
+    from headway_launch.runner.jobs import CellPlan, plan_jobs
 
     experiment = compose(arguments.overrides)
     cells = [CellPlan(experiment, plan_jobs(experiment))]
-    print_notices(arguments.overrides, [experiment], trained_environments(cells))
+    print_notices(arguments.overrides, [experiment])
     if arguments.dry_run:
         from headway_launch.studies.dry_run import print_estimate
 

@@ -63,13 +63,12 @@ def execute(arguments: argparse.Namespace) -> int:
             raise HeadwayError(f"--{name} needs --slurm")
     from headway_launch.experiments.notices import print_notices
     from headway_launch.experiments.sweep import compose_sweep
-    from headway_launch.runner.jobs import trained_environments
     from headway_launch.studies.plan import distinct
     from headway_launch.studies.session import StudySession
 
     experiments = distinct(compose_sweep(arguments.overrides))
     session = StudySession.plan(experiments, fresh=arguments.fresh)
-    print_notices(arguments.overrides, experiments, trained_environments(session.cells))
+    print_notices(arguments.overrides, experiments)
     if arguments.dry_run:
         from headway_launch.studies.dry_run import print_estimate
 

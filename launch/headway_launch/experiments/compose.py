@@ -292,7 +292,8 @@ def _composer_of(words: Sequence[str], file: Path | None = None) -> Callable[[Ma
             if _has_key(values, error.key) and not _has_key(given, error.key):
                 raise HeadwayError(f"preset={preset} does not fit this experiment: {error}") from error
             group, _, key = error.key.rpartition(".")
-            if group in ("algo", "rollout") and (ours := ALIASES.get(key)) in _KEYS:
+            # `algo.steps` may as well be meant for `rollout.steps` or an environment's.
+            if group in ("algo", "rollout") and key != "steps" and (ours := ALIASES.get(key)) in _KEYS:
                 raise UnknownKeyError(error.key, _EXPERIMENT, f"did you mean {ours}?") from error
             raise
 

@@ -1,6 +1,6 @@
 """Notices before training: its extent, and settings that a user may not have meant."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from headway.config.experiment import NO_PRESET, ExperimentConfig
@@ -13,13 +13,8 @@ _INTERVALS = 6
 """Evaluations after the first that a suggested `evaluation.every` leaves, at least."""
 
 
-def print_notices(
-    overrides: Sequence[str], experiments: Sequence[Experiment], trained: Iterable[object] = ()
-) -> None:
-    """Print each notice about the `experiments` that `overrides` describe once.
-
-    `trained`: prepared data of the environments of new runs, which may have a tuple `training_notices`.
-    """
+def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -> None:
+    """Print each notice about the `experiments` that `overrides` describe once."""
     file, words = split_experiment_file(overrides)
     lines = []
     if not file and not any(word.lstrip("+").startswith(("algo=", "experiment=")) for word in words):
@@ -27,7 +22,6 @@ def print_notices(
         chosen = "" if preset == NO_PRESET else f", with preset={preset}"
         lines.append(f"no algo is named: algo={experiments[0].algo_name}{chosen} (`headway list algos`)")
     lines += [line for each in experiments for line in _about(each.config, len(each.rules))]
-    lines += [line for data in trained for line in getattr(data, "training_notices", ())]
     for line in dict.fromkeys(lines):
         print_line(f"headway: {line}")
 
@@ -56,7 +50,9 @@ def _about(config: ExperimentConfig, rules: int) -> Iterator[str]:
 def _extent(config: ExperimentConfig, evaluations: int, rules: int) -> str:
     """Return the steps, iterations and evaluations of a run, and the folders of its environment."""
     steps, iterations = config.iterations * config.iteration_steps, config.iterations
-    last = f", the last beside {counted(rules, 'rule')} on {config.evaluation.last_episodes} episodes each"
+    last = ""
+    if rules:
+        last = f", the last with {counted(rules, 'rule')}, on {config.evaluation.last_episodes} episodes each"
     rounded = "" if steps == config.env_steps else f" (env_steps={config.env_steps:_} rounded up)"
     folders = [
         f"; env.args.{key}={value}"
@@ -66,7 +62,7 @@ def _extent(config: ExperimentConfig, evaluations: int, rules: int) -> str:
     return (
         f"{steps:,} steps per run{rounded}, in {counted(iterations, 'iteration')} of "
         f"{config.iteration_steps:,} (rollout.copies x rollout.steps), {evaluations:,} evaluations"
-        + "".join((last if rules else "", *folders))
+        + "".join((last, *folders))
     )
 
 

@@ -163,12 +163,6 @@ def new_jobs(
     return tuple(job.with_parent(parent) for job in jobs)
 
 
-def trained_environments(cells: Sequence[CellPlan]) -> list[object]:
-    """Return the prepared data of the training environments of new jobs, of the first stage."""
-    new = [job for cell in cells for job in cell.jobs if not job.resumed]
-    return [job.training.plan.training_prepared for job in new]
-
-
 def within_processes(config: ExperimentConfig, spec: EnvSpec) -> ExperimentConfig:
     """Return the configuration with blocks and workers that respect the environment's copies per process.
 

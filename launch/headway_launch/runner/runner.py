@@ -23,7 +23,7 @@ from headway_launch.experiments.rules import require_valid_actions
 from headway_launch.runner.cell import Rules, SessionCell
 from headway_launch.runner.cluster.ray_cluster import SessionCluster
 from headway_launch.runner.comparison import Comparison, print_findings
-from headway_launch.runner.jobs import CellPlan, require_free_disk
+from headway_launch.runner.jobs import CellPlan, PlannedJob, require_free_disk
 from headway_launch.runner.recorder import JobRecorder
 from headway_launch.runner.results import (
     SeedResult,
@@ -67,9 +67,12 @@ class Runner:
             self._shares = self._cluster.share_cores(self._config.backend, planned, usable_cores())
             require_free_disk(Path(self._config.store.root), planned, self._shares.parallel)
             compile_kernels_of([cell.experiment for cell in cells if cell.jobs])
-            environments = {id(job.training.plan.prepared): job for job in planned}
-            for job in environments.values():
+            # Jobs with one prepared environment have the same rules.
+            job_of_environment = {id(job.training.plan.prepared): job for job in planned}
+            for job in job_of_environment.values():
                 require_valid_actions(job.experiment, job.training.plan.prepared)
+            kept = [job for cell in cells if not cell.temporary for job in cell.jobs]
+            _print_training_notices([job for job in kept if not job.resumed])
             self._store = SessionStore(self._config.store)
             self._cells = [SessionCell(self._store, cell) for cell in cells]
             self._jobs = [SessionJob.of(cell, job) for cell in self._cells for job in cell.plan.jobs]
@@ -311,3 +314,11 @@ def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False
         if worst == EXIT_STOPPED:
             break
     return worst, left
+
+
+def _print_training_notices(new: Sequence[PlannedJob]) -> None:
+    """Print once what the training environments of new jobs have to say on their settings."""
+    plans = [plan for job in new for plan in (job.training.plan, *job.training.later_plans)]
+    lines = [line for plan in plans for line in getattr(plan.training_prepared, "training_notices", ())]
+    for line in dict.fromkeys(lines):
+        print_line(f"headway: {line}")

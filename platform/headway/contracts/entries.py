@@ -102,7 +102,8 @@ class EnvEntry:
     """(config) -> picklable data that all copies share, such as tables read or networks built.
 
     Runs once, in the parent process. Raises HeadwayError for data that cannot be used. Default: the config
-    itself.
+    itself. Lines in its tuples `notices` and `training_notices`, if it has them, are printed, the latter only
+    before a training.
     """
     digest: Callable[[Any], str | None] | None = None
     """(config) -> digest of the content of the files that its values name; None: none, or they cannot be

@@ -3,14 +3,11 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from headway.contracts.entries import is_lookahead
 from headway.events import LABELS, Row
-from headway.stats.samples import CONFIDENCE
-
-if TYPE_CHECKING:
-    from headway.stats.samples import Interval
+from headway.stats.samples import CONFIDENCE, Interval
 
 RULE = "rule "
 """Prefix of a rule's name among those of controllers."""
@@ -115,7 +112,7 @@ def _first_metrics(played: Iterable[Sequence[Sequence[Row]]]) -> list[str]:
 
 def difference(
     learned: Sequence[Sequence[float]], rule: Sequence[float], confidence: float = CONFIDENCE
-) -> "Interval":
+) -> Interval:
     """Return the paired difference of a metric between a learner (seeds x episodes) and a rule (episodes).
 
     The interval is Student's t over episodes for one seed, over seeds and episodes for more. Raises
@@ -136,8 +133,8 @@ class Gap:
     """The best of the rules without `lookahead`."""
     reference: str
     """The `lookahead`."""
-    lead: "Interval | None"
-    """Paired difference over episodes, `reference` minus `best`; None: fewer than two episodes."""
+    lead: Interval | None
+    """Gain of `reference` over `best`, paired by episode; None: fewer than two episodes."""
     shares: Mapping[str, float]
     """Part of the lead that each learner reaches, by name; empty unless the lead's interval is above 0."""
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -121,7 +122,7 @@ def simulate(arrivals: list[list[float]], plan: dict[tuple[int, int], int]) -> S
             queue, room = arrivals[stop], 1000
             if action in (SKIP, LIMIT):
                 come = sum(arrival <= time for arrival in queue)
-                room = 0 if action == SKIP else math.ceil(0.4 * come)
+                room = 0 if action == SKIP else math.ceil(Fraction("0.4") * come)
             closed = action in (SKIP, LIMIT)
             held = False
             first = True

@@ -278,7 +278,7 @@ def test_a_word_that_replaces_another_is_named_if_a_user_typed_it(capsys: pytest
 def test_sigterm_ends_a_command_as_ctrl_c_does(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = signal.getsignal(signal.SIGTERM)
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     monkeypatch.setattr(main, "_dispatch", lambda *_: signal.raise_signal(signal.SIGTERM))
     try:
         with pytest.raises(SystemExit, match="130"):

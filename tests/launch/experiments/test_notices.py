@@ -57,9 +57,9 @@ def test_the_extent_of_a_run_is_said_with_its_rounding_and_its_folders(
     of = "(rollout.copies x rollout.steps)"
     assert capsys.readouterr().err.splitlines() == [
         f"headway: 200 steps per run (env_steps=100 rounded up), in 1 iteration of 200 {of}, 2 evaluations, "
-        f"the last beside 2 rules on 10 episodes each; env.args.scenario={tmp_path}",
+        f"the last with 2 rules, on 10 episodes each; env.args.scenario={tmp_path}",
         f"headway: 1,000 steps per run, in 5 iterations of 200 {of}, 4 evaluations, "
-        "the last beside 2 rules on 10 episodes each",
+        "the last with 2 rules, on 10 episodes each",
     ]
 
 

@@ -98,7 +98,7 @@ def board(net: Network, k: Record, world: World, c: int, n: int, time: float, sh
     slot, day = world.slots[c, n], world.days[c]
     update_queue(net, k, world, c, slot.call, slot.pattern, time)
     queue = world.queues[c, slot.call]
-    # Less than rounding can add: 0.28 * 25 is above 7.
+    # The tolerance absorbs rounding errors: 0.28 * 25 is 7.000000000000001.
     boarding = min(math.ceil(share * queue.waiting - 1e-9), k.capacity - slot.load)
     if boarding == 0:
         return 0
