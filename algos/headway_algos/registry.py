@@ -60,7 +60,7 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
         )
     if logits and not (isinstance(actions, Discrete) and actions.n == len(logits)):
         count = f"{actions.n} actions" if isinstance(actions, Discrete) else "no Discrete actions"
-        remedy = "give one per action, or leave it out" if isinstance(actions, Discrete) else "leave it out"
+        remedy = "give one per action, or [] for none" if isinstance(actions, Discrete) else "set it to []"
         return f"algo.model.initial_logits has {len(logits)} entries, and {spec.name} has {count}; {remedy}"
     return None
 

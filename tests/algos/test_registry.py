@@ -200,7 +200,7 @@ def test_initial_logits_that_do_not_fit_are_refused(space: Any) -> None:  # noqa
     line = entry.refuses(config, replace(SPEC, action_space=space))
     assert line is not None
     assert "initial_logits has 2 entries" in line
-    assert "leave it out" in line
+    assert "[]" in line
     assert ("give one per action" in line) == isinstance(space, Discrete)
 
 
