@@ -61,6 +61,7 @@ class Runner:
         self._debug, self._plan_kept = debug, plan_kept
         self._own_cpu_s = 0.0
         """CPU seconds of this process since training began, without those spent on rule episodes."""
+        self._rules_stopped = False
         planned = [job for cell in cells for job in cell.jobs]
         self._cluster = SessionCluster.open([job.config.backend for job in planned])
         try:
@@ -89,10 +90,9 @@ class Runner:
             stopped = scheduler.run()
             self._store_unstarted(stopped)
             self._add_results_of_others()
-            played: dict[str, Rules] = {}
             rules_from = time.thread_time()
-            for cell in self._cells if not stopped else ():
-                cell.play_rules(played)
+            self._rules_stopped = not stopped and self._stopped_in_rules()
+            stopped = stopped or self._rules_stopped
             self._own_cpu_s -= time.thread_time() - rules_from
         finally:
             self._end_cells()
@@ -165,6 +165,16 @@ class Runner:
             if stopped and job.has_no_runs and not self._plan_kept:
                 job.create_runs(self._shares)
                 self._store_end(job)
+
+    def _stopped_in_rules(self) -> bool:
+        """Play the rules of all cells; return whether Ctrl-C or SIGTERM ended that."""
+        played: dict[str, Rules] = {}
+        try:
+            for cell in self._cells:
+                cell.play_rules(played)
+        except KeyboardInterrupt:
+            return True
+        return False
 
     def _end_cells(self) -> None:
         metrics = self._energy.stop()
@@ -281,6 +291,10 @@ class Runner:
                     "resumed); if the cause lies elsewhere"
                 )
             print_line(f"headway: {waiting}{when}: {own_name()} resume {named}{option}")
+        elif self._rules_stopped:
+            resume = f"{own_name()} resume --study {study}{option}"
+            how = resume if self._plan_kept else "the words of `headway run`, after `headway sweep`"
+            print_line(f"headway: stopped before all rules were played; to play them: {how}")
 
 
 def store_share(recorders: Sequence[JobRecorder], own_cpu_s: float) -> str:

@@ -133,6 +133,26 @@ def test_the_next_commands_can_be_pasted(
     assert second[1:] == ["resume", "--study", "my lines"]
 
 
+@pytest.mark.parametrize("plan_kept", [True, False])
+def test_ctrl_c_while_rules_are_played_says_how_to_play_them(
+    plan_kept: bool, empty_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("headway_launch.runner.cell.rule_episodes", _interrupted)
+    experiment = compose(("env=trivial", "algo=ippo", *SMALL, "evaluation.rules=[optimal]", "study=toys"))
+    finished = Path("runs", "toys", keep_run(Path("runs"), experiment, 0, "FINISHED", 1, final_reward=3.0))
+    assert Runner([CellPlan(experiment, (), (finished,))], plan_kept=plan_kept).run() == 130
+    shown = capsys.readouterr()
+    assert "FINISHED" in shown.out
+    line = shown.err.splitlines()[-1]
+    end = " resume --study toys" if plan_kept else ": the words of `headway run`, after `headway sweep`"
+    assert line.startswith("headway: stopped before all rules were played; to play them: ")
+    assert line.endswith(end)
+
+
+def _interrupted(*_: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
 @pytest.mark.slow
 def test_ctrl_c_keeps_all_resume_continues_and_a_killed_session_leaves_no_process(tmp_path: Path) -> None:
     # Seed 1 waits for seed 0, so one run never starts.
