@@ -1,12 +1,15 @@
 """Episodes of best policies that `headway compare --best --keep` stores beside the runs, for reports."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import read_json, write_json
 from headway.store.run_folder import best_file
+from headway.wording import counted
+from headway_launch.console.output import print_line
 from headway_launch.console.output_files import write_error
 
 if TYPE_CHECKING:
@@ -37,7 +40,8 @@ def keep_episodes(
 ) -> None:
     """Store the episodes of a learner's best policies and of the rules, from the seeds of `root`.
 
-    `iterations` (seeds,): of the policies; `played`: seeds x episodes. Raises HeadwayError if the file cannot
+    `iterations` (seeds,): of the policies; `played`: seeds x episodes. Other runs and rules keep theirs if
+    these are the same episodes, and else lose them, which a line says. Raises HeadwayError if the file cannot
     be written.
     """
     record = members[0].record
@@ -46,10 +50,24 @@ def keep_episodes(
         run.record.run_id: {"iteration": iteration, "episodes": list(episodes)}
         for run, iteration, episodes in zip(members, iterations, played, strict=True)
     }
+    kept: dict[str, Any] = {"seed": root, "mode": mode, "rules": dict(rules), "runs": runs}
+    with suppress(AttributeError, HeadwayError, KeyError, TypeError):  # missing or damaged
+        stored = read_json(path)
+        others = stored["runs"].keys() - runs.keys()
+        if _episodes(stored) == _episodes(kept):
+            kept |= {part: stored[part] | kept[part] for part in ("rules", "runs")}
+        elif others:
+            lost = counted(len(others), "other run")
+            print_line(f"headway: kept episodes of {lost} removed: of another --episodes, --seed or --mode")
     try:
-        write_json(path, {"seed": root, "mode": mode, "rules": dict(rules), "runs": runs})
+        write_json(path, kept)
     except OSError as error:
         raise write_error("--keep", path, error) from error
+
+
+def _episodes(kept: Mapping[str, Any]) -> tuple[int, str, set[int]]:
+    """Return the root of the seeds, the mode, and the numbers of episodes of the runs."""
+    return kept["seed"], kept["mode"], {len(run["episodes"]) for run in kept["runs"].values()}
 
 
 def kept_episodes(
