@@ -16,7 +16,7 @@ from headway_envs.bus.config import BusConfig, NoiseConfig
 from headway_envs.bus.entry import ENTRY
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.kernel.layout import DEPOT, DISPATCHED, DRIVING, SKIP_NEXT, STANDING
-from headway_envs.bus.kernel.passengers import update_queue
+from headway_envs.bus.kernel.passengers import board, update_queue
 from headway_envs.bus.prepare import prepare
 from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.network import build
@@ -206,6 +206,21 @@ def test_a_hand_made_line_is_served_as_by_a_naive_loop() -> None:
     # Everyone aboard alights at the stop that the second bus skips.
     assert expected.visits[1, 3].left > expected.visits[1, 3].arrived
     assert expected.visits[0, 1].left == expected.visits[0, 1].arrived
+
+
+def test_a_boarding_limit_is_rounded_up_in_exact_arithmetic() -> None:
+    """As floating-point numbers, 0.28 times 25 is above 7."""
+    env = begun(BusBatchedEnv(hand_made(), 1), 5)
+    net, k, world = env.network, env.prepared.settings[0], env.world
+    world.queues["next_arrival"] = np.inf
+    world.leaves_at[:] = np.inf
+    wrong = []
+    for percent in range(1, 100):
+        for waiting in range(1, 61):
+            world.slots["load"][0, 0], world.queues["waiting"][0, 0] = 0, waiting
+            if board(net, k, world, 0, 0, 18600.0, percent / 100) != -(-percent * waiting // 100):
+                wrong.append((percent, waiting))
+    assert not wrong
 
 
 @pytest.mark.parametrize(
