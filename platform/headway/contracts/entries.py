@@ -51,7 +51,9 @@ class Rule(Protocol):
 def is_lookahead(rule: str) -> bool:
     """Return whether this is `lookahead`, a reference for the possible gain rather than a usable controller.
 
-    It is played only where it is named, and never counts as the best rule.
+    It tries each action in simulations in which another rule acts from the next step on: the one in the name,
+    `lookahead:RULE`, or that of `EnvEntry.lookahead`. It is played only where it is named, and never counts
+    as the best rule.
     """
     return rule.partition(":")[0] == LOOKAHEAD
 
