@@ -1,9 +1,11 @@
 """CSV files of an operator: their columns, and their rows as data frames of checked values."""
 
+import csv
 import difflib
 import io
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -95,7 +97,7 @@ def read_file(folder: Path, name: str) -> pd.DataFrame:
     Times are s after midnight, day types default to weekday, other missing values are None or NaN. Raises
     HeadwayError naming file, row and column.
     """
-    texts, separator = _texts(folder / f"{name}.csv")
+    texts, separator = read_texts(folder / f"{name}.csv")
     columns = FILES[name]
     _check_names(name, list(texts.columns), columns)
     frame = pd.DataFrame(index=texts.index)
@@ -142,8 +144,11 @@ def refuse_repeated(name: str, frame: pd.DataFrame, keys: list[str], column: str
     refuse(name, frame, column, frame.duplicated(keys), problem)
 
 
-def _texts(path: Path) -> tuple[pd.DataFrame, str]:
-    """Return the cells of a file as text, stripped, and its separator, a comma or semicolon."""
+def read_texts(path: Path) -> tuple[pd.DataFrame, str]:
+    """Return the cells of a file as text, stripped, and its separator, a comma or semicolon.
+
+    The index holds the row numbers of a spreadsheet. Raises HeadwayError for a file that is no such table.
+    """
     if not path.is_file():
         others = [file.name for file in path.parent.glob("*.csv") if file.stem not in FILES]
         near = difflib.get_close_matches(path.name, others, 1)
@@ -160,6 +165,8 @@ def _texts(path: Path) -> tuple[pd.DataFrame, str]:
         text = content.decode("cp1252", errors="replace")
     header = text.partition("\n")[0]
     separator = ";" if header.count(";") > header.count(",") else ","
+    if not text.strip():
+        raise HeadwayError(f"{path.name} is empty: write a heading and rows")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the heading
@@ -172,11 +179,7 @@ def _texts(path: Path) -> tuple[pd.DataFrame, str]:
                 skip_blank_lines=False,
             )
     except (ValueError, pd.errors.ParserWarning) as error:
-        said = " ".join(str(error).split())
-        raise HeadwayError(
-            f"{path.name} is not a table of values separated by '{separator}' ({said}); give every row as "
-            "many cells as the heading"
-        ) from error
+        raise HeadwayError(f"{path.name}, {_fault(text, separator)}") from error
     frame.columns = frame.columns.str.strip()
     frame.index += 2  # as a spreadsheet counts them, below the heading
     frame = frame.fillna("").apply(lambda column: column.str.strip())
@@ -184,6 +187,18 @@ def _texts(path: Path) -> tuple[pd.DataFrame, str]:
     if frame.empty:
         raise HeadwayError(f"{path.name} has no rows below its heading: write some")
     return frame, separator
+
+
+def _fault(text: str, separator: str) -> str:
+    """Return the row and the fault of a text that is no table: too many cells, or an open quotation."""
+    rows = csv.reader(io.StringIO(text, newline=None), delimiter=separator)
+    number, width = 1, len(next(rows))
+    with suppress(csv.Error):  # a quotation longer than its limit
+        for number, row in enumerate(rows, 2):
+            if len(row) > width:
+                cells = f"{len(row)} cells separated by '{separator}'"
+                return f"row {number}: {cells}, where the heading has {width}; give every row as many"
+    return f"row {number}: a quotation mark is not closed; close or remove it"
 
 
 def _check_names(name: str, there: list[str], columns: Mapping[str, Column]) -> None:

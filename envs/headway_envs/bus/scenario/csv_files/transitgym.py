@@ -16,6 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
+from headway_envs.bus.scenario.csv_files.files import read_texts
 from headway_envs.bus.scenario.csv_files.importer import import_csv
 from headway_envs.bus.scenario.measures import METRES_PER_DEGREE
 from headway_envs.bus.scenario.tables import Tables
@@ -74,19 +75,12 @@ def _read(folder: Path, name: str) -> pd.DataFrame:
     path = folder / name
     if not path.is_file():
         raise HeadwayError(f"{path} is missing; TransitGym's tables are {', '.join(COLUMNS)}")
-    try:
-        frame = pd.read_csv(path, dtype="str", na_filter=False, encoding="utf-8-sig")
-    except (ValueError, OSError) as error:
-        raise HeadwayError(f"{path} is not a table of comma-separated values ({error})") from error
+    frame, _ = read_texts(path)
     for column in COLUMNS[name]:
         if column not in frame:
             there = ", ".join(frame.columns)
             raise HeadwayError(f"{name}, row 1: there is no column {column}; the columns are {there}")
-    if frame.empty:
-        raise HeadwayError(f"{name} has no rows below its heading: write some")
-    read = pd.DataFrame({column: frame[column].str.strip() for column in COLUMNS[name]})
-    read.index += 2  # as a spreadsheet counts them, below the heading
-    return read
+    return frame[list(COLUMNS[name])]
 
 
 def _refuse(

@@ -100,7 +100,11 @@ def test_origin_destination_counts_give_both_ends(example: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "old", "new", "said"),
     [
-        ("stops", "52.5240", "52,5240", "stops.csv is not a table of values separated by ','"),
+        ("stops", "52.5240", "52,5240", "stops.csv, row 3: 4 cells separated by ',', where the heading"),
+        ("stops", "Station,", "Station,0,", "stops.csv, row 2: 4 cells separated by ',', where the heading"),
+        ("stops", "Market", '"Market', "stops.csv, row 3: a quotation mark is not closed"),
+        ("stops", "Market", "\n,,\nMarket,1", "stops.csv, row 5: 4 cells separated by ','"),
+        ("stops", "Market,52", "\n,,\nMarket,x", "stops.csv, row 5, column lat: 'x.5240' is not a number"),
         ("stops", "52.5240", "north", "stops.csv, row 3, column lat: 'north' is not a number; correct it"),
         ("stops", "52.5240", "", "stops.csv, row 3, column lat: is blank; fill it in"),
         ("stops", "52.5240", "525240", "row 3, column lat: '525240' lies outside -90 to 90; correct it"),

@@ -114,6 +114,7 @@ def test_times_after_midnight_continue(line: Path) -> None:
         ),
         ("stop_times.txt", "0.9,1419", "0.3,1419", "row 8, column shape_dist_traveled: '0.3' is not beyond"),
         ("stop_times.txt", "5,65259", "5,11111", "row 7, column stop_id: stop '11111' is not in stops.txt"),
+        ("stop_times.txt", "6,65409,1900-01-01 07", "\n6,65409,1900-01-01 7h", "row 9, column arrival_time"),
         ("stops.txt", "65009,0", "65009,north", "stops.txt, row 2, column stop_lat: 'north' is not a number"),
         (
             "trips.txt",
