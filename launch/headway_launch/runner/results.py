@@ -199,16 +199,16 @@ def _print_unchanged(results: Sequence[SeedResult], modes: Sequence[str]) -> Non
                 curves = [read_curve(result.directory, f"evaluation_{mode}/return") for mode in modes]
                 first, *others = (list(curve.values()) for curve in curves)
                 if 0 in curves[0] and len(first) > 1 and len(set(first)) == 1:
-                    unchanged.append((result.record.seed, first[0], others))
-    for seed, value, others in unchanged[:_MAX_UNCHANGED]:
+                    unchanged.append((result.record.seed, first[0], len(first), others))
+    for seed, value, count, others in unchanged[:_MAX_UNCHANGED]:
         changes = [
             f"; {mode} return from {values[0]:.4g} to {values[-1]:.4g}"
             for mode, values in zip(modes[1:], others, strict=True)
             if values
         ]
         print_line(
-            f"seed {seed}: the {modes[0]} return was {value:.4g} in every evaluation, also before training"
-            + "".join(changes)
+            f"seed {seed}: {modes[0]} return {value:.4g} in all {count} evaluations, also before training, "
+            f"so its actions seem unchanged{''.join(changes)}; to learn more, raise env_steps or algo.lr"
         )
     if len(unchanged) > _MAX_UNCHANGED:
         print_line(f"and {len(unchanged) - _MAX_UNCHANGED} more seeds likewise")
