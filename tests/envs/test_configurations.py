@@ -25,7 +25,7 @@ NO_PUBLISHED_WEIGHTS = dict.fromkeys(("occupancy", "uptime", "regularity", "effi
     [
         (bus.BusConfig, {"capacity": 0}, "capacity"),
         (bus.BusConfig, {"tick_s": 7.0}, "must divide the service day"),
-        (bus.BusConfig, {"start_hour": 24}, "start_hour"),
+        (bus.BusConfig, {"start_hour": 24}, "must hold, not 24 and 24; such as start_hour=5 end_hour=24"),
         (bus.BusConfig, {"captive_share": 1.5}, "captive_share"),
         (bus.BusConfig, {"control": "second"}, "control must be minute or holding, not 'second'"),
         (bus.BusConfig, {"max_hold_s": 90.0}, "max_hold_s has no effect with control=minute"),

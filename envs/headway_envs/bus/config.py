@@ -231,15 +231,16 @@ class DisruptionConfig:
     def __post_init__(self) -> None:
         _require_above(0, surge=self.surge, slow=self.slow)
         require_at_least(0, late_s=self.late_s, breakdown_bus=self.breakdown_bus, late_bus=self.late_bus)
-        for off, on, keys in (
-            ("surge=1", self.surge != 1.0, ("surge_hour", "surge_stops")),
-            ("slow=1", self.slow != 1.0, ("slow_hour", "slow_stops")),
-            ("breakdown_hour=null", self.breakdown_hour is not None, ("breakdown_bus",)),
-            ("late_s=0", self.late_s > 0.0, ("late_bus",)),
+        for off, example, is_on, keys in (
+            ("surge=1", "surge=3", self.surge != 1.0, ("surge_hour", "surge_stops")),
+            ("slow=1", "slow=2", self.slow != 1.0, ("slow_hour", "slow_stops")),
+            ("breakdown_hour=null", "breakdown_hour=8", self.breakdown_hour is not None, ("breakdown_bus",)),
+            ("late_s=0", "late_s=1200", self.late_s > 0.0, ("late_bus",)),
         ):
             for key in keys:
                 same = getattr(self, key) == getattr(type(self), key)
-                require_key(on or same, key, f"means nothing with {off}; leave it out or set the other key")
+                fix = f"means nothing with {off}; leave it out, or give another, such as {example}"
+                require_key(is_on or same, key, fix)
 
     @property
     def hours(self) -> dict[str, int]:
@@ -381,7 +382,8 @@ class BusConfig:
         for name in ("skipping", "boarding_limit"):
             same = getattr(self, name) == getattr(type(self), name)
             require_key(same or self.hold_levels > 0, name, "needs Discrete actions, not hold_levels=0")
-        require(4 <= self.start_hour < self.end_hour <= 26, "4 <= start_hour < end_hour <= 26 must hold")
+        hours = f"4 <= start_hour < end_hour <= 26 must hold, not {self.start_hour} and {self.end_hour}"
+        require(4 <= self.start_hour < self.end_hour <= 26, f"{hours}; such as start_hour=5 end_hour=24")
         require_value(
             self, "tick_s", self.day_s % self.tick_s == 0, f"must divide the service day of {self.day_s:g} s"
         )

@@ -44,9 +44,10 @@ class Prepared:
         last_h = self.network.trip_departure.max() / 3600.0
         if self.config.end_hour - last_h < 3.0:
             return ()
+        end = min(math.ceil(last_h + self.network.line_trip.max() / 3600.0), self.config.end_hour)
         return (
             f"no trip leaves after {last_h:.1f} h: passengers left behind wait until the day ends, at "
-            f"{self.config.end_hour} h; set env.args.end_hour",
+            f"{self.config.end_hour} h; set env.args.end_hour={end}",
         )
 
     @property

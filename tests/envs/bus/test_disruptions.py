@@ -148,7 +148,7 @@ def test_what_the_scenario_lacks_is_one_error_line(disruptions: dict[str, Any], 
     [
         ({"surge_stops": (1,)}, "surge_stops means nothing with surge=1"),
         ({"late_bus": 1}, "late_bus means nothing with late_s=0"),
-        ({"surge_hour": 9}, "surge_hour means nothing with surge=1"),
+        ({"surge_hour": 9}, "surge_hour means nothing with surge=1; leave it out, or .* surge=3"),
         ({"slow_stops": (1,)}, "slow_stops means nothing with slow=1"),
         ({"breakdown_bus": 1}, "breakdown_bus means nothing with breakdown_hour=null"),
         ({"slow": 2.0, "slow_hour": 3}, "slow_hour must lie within the service day, 5 to 23, not 3"),

@@ -15,6 +15,7 @@ import pytest
 from headway.contracts import HeadwayError
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.prepare import prepare
+from headway_envs.bus.prepared import Prepared
 from headway_envs.bus.scenario.network import build
 from headway_envs.bus.scenario.synthetic import generate
 from headway_envs.bus.scenario.tables import COLUMNS, Tables, check_tables, read_tables, write_tables
@@ -143,6 +144,25 @@ def test_a_fault_is_named_by_its_row_in_an_unsorted_file(tables: Tables) -> None
     frame.iloc[0, frame.columns.get_loc("seq0")] = 500
     with pytest.raises(HeadwayError, match="table pattern_stops, row 0, column seq0: 500 breaks"):
         check_tables(replace(tables, pattern_stops=frame))
+
+
+def test_hours_without_trips_are_named_with_those_to_set(tables: Tables) -> None:
+    """Also hours long after the last trip, in which nobody is served."""
+    inside = tables.trips["dep_s"].between(7 * 3600.0, 9 * 3600.0, inclusive="left")
+    short = replace(tables, trips=tables.trips[inside])
+    with pytest.raises(
+        HeadwayError, match=r"between 12 and 24 h: set env.args.start_hour=7 env.args.end_hour=9$"
+    ):
+        build(short, BusConfig(start_hour=12))
+    weekdays = replace(short, trips=short.trips[short.trips["daytype"] == "weekday"])
+    with pytest.raises(HeadwayError, match=r"of day_type sunday .*: set env.args.day_type=weekday$"):
+        build(weekdays, BusConfig(day_type="sunday"))
+    config = BusConfig()
+    [notice] = Prepared(config, *build(short, config), "").notices
+    before, _, end = notice.partition("=")
+    assert before.endswith("until the day ends, at 24 h; set env.args.end_hour")
+    arrived_h = short.trips["arr_s"].max() / 3600.0
+    assert arrived_h <= int(end) < arrived_h + 1.5
 
 
 def test_other_faults_of_tables_are_named(tables: Tables) -> None:

@@ -126,12 +126,16 @@ def trips_of_day(tables: Mapping[str, Columns], config: BusConfig) -> Columns:
     Raises HeadwayError if there are none.
     """
     trips = tables["trips"]
-    begin, end = config.start_hour * 3600.0, config.end_hour * 3600.0
-    leaves = (trips["dep_s"] >= begin) & (trips["dep_s"] < end) & (trips["daytype"] == config.day_type)
+    hour = trips["dep_s"] // 3600.0
+    own = trips["daytype"] == config.day_type
+    leaves = own & (hour >= config.start_hour) & (hour < config.end_hour)
     if not leaves.any():
+        fix = f"day_type={trips['daytype'][0]}"
+        if own.any():
+            fix = f"start_hour={hour[own].min():.0f} env.args.end_hour={hour[own].max() + 1:.0f}"
         raise HeadwayError(
             f"table trips has no trip of day_type {config.day_type} that leaves between {config.start_hour} "
-            f"and {config.end_hour} h: choose another day_type or other hours"
+            f"and {config.end_hour} h: set env.args.{fix}"
         )
     return _select(trips, leaves)
 
