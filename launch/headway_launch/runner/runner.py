@@ -293,8 +293,8 @@ class Runner:
             print_line(f"headway: {waiting}{when}: {own_name()} resume {named}{option}")
         elif self._rules_stopped:
             resume = f"{own_name()} resume --study {study}{option}"
-            how = resume if self._plan_kept else "the words of `headway run`, after `headway sweep`"
-            print_line(f"headway: stopped before all rules were played; to play them: {how}")
+            how = f": {resume}" if self._plan_kept else ", repeat the command with `sweep` instead of `run`"
+            print_line(f"headway: stopped before all rules were played; to play them{how}")
 
 
 def store_share(recorders: Sequence[JobRecorder], own_cpu_s: float) -> str:

@@ -144,8 +144,8 @@ def test_ctrl_c_while_rules_are_played_says_how_to_play_them(
     shown = capsys.readouterr()
     assert "FINISHED" in shown.out
     line = shown.err.splitlines()[-1]
-    end = " resume --study toys" if plan_kept else ": the words of `headway run`, after `headway sweep`"
-    assert line.startswith("headway: stopped before all rules were played; to play them: ")
+    end = " resume --study toys" if plan_kept else ", repeat the command with `sweep` instead of `run`"
+    assert line.startswith("headway: stopped before all rules were played; to play them")
     assert line.endswith(end)
 
 
