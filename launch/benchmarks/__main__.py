@@ -7,6 +7,7 @@ import sys
 from benchmarks import (
     city,
     crossing,
+    generated_networks,
     gpu,
     kernel,
     learning,
@@ -26,6 +27,7 @@ REPORTS = {
     "merge": merge.report,
     "crossing": crossing.report,
     "mixed_autonomy": mixed_autonomy.report,
+    "generated_networks": generated_networks.report,
     "lightness": lightness.report,
     "store": store.report,
     "gpu": gpu.report,
