@@ -25,6 +25,8 @@ _POLICIES = "algo.policies"
 _MAX_SHOWN = 6
 """Maximum number of settings shown in full; a longer list is cut to the first `_FIRST_SHOWN`."""
 _FIRST_SHOWN = 3
+_MAX_LENGTH = 100
+"""Maximum length of a value that is shown where the other cells have none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,15 +256,20 @@ def _name(wrapper: ast.expr) -> str:
 
 
 def _differing(cells: Sequence[Mapping[str, str]]) -> list[list[str]]:
-    """Return the parameters that differ between the cells, per cell, as `name=value` or `without name`.
+    """Return the parameters that differ between the cells, per cell, as `name=value` or `without name`; the
+    only value of a name as `with name` if it is long.
 
     Environment arguments are shown without their prefix.
     """
     names = list(dict.fromkeys(name for cell in cells for name in cell))
-    differing = {
-        name: name.removeprefix(_ARGS) for name in names if len({cell.get(name) for cell in cells}) > 1
-    }
-    return [
-        [f"{shown}={cell[name]}" if name in cell else f"without {shown}" for name, shown in differing.items()]
-        for cell in cells
-    ]
+    values = {name: {cell.get(name) for cell in cells} for name in names}
+    differing = {name: name.removeprefix(_ARGS) for name in names if len(values[name]) > 1}
+
+    def shown(name: str, cell: Mapping[str, str]) -> str:
+        if name not in cell:
+            return f"without {differing[name]}"
+        if len(values[name]) == 2 and None in values[name] and len(cell[name]) > _MAX_LENGTH:
+            return f"with {differing[name]}"
+        return f"{differing[name]}={cell[name]}"
+
+    return [[shown(name, cell) for name in differing] for cell in cells]

@@ -122,6 +122,7 @@ SHARED, OWN = {"algo.policies": "shared"}, {"algo.policies": "independent"}
 TUNED = {"algo.lr": "0.002", "algo.gamma": "0.98", "env.training_args.reward.scope": "regional"}
 PAPER = {"algo.lr": "0.0005", "algo.gamma": "0.99", "algo.clip": "0.2"}
 STACKS = f"bus, env.wrappers=[{STACKED}]"
+STAGES = str([{"env_steps": 250_000, "training_args": {"density": density}} for density in (1, 2, 3)])
 AGGREGATE, WHOLE = {"env.args.state": "aggregate"}, {"env.args.state": "whole"}
 
 
@@ -182,6 +183,18 @@ NAMED = {
         (cell({"env.args.kept": "True", "env.args.steps": "9"}), "ippo on bus, kept=True, steps=9"),
         (cell({"env.args.kept": "False", "env.args.steps": "9"}), "ippo on bus, kept=False, steps=9"),
         (cell({"env.args.kept": "False"}), "ippo on bus, kept=False, without steps"),
+    ],
+    "a long value that others lack": [
+        (cell({"stages": STAGES}), "ippo, with stages"),
+        (cell({}), "ippo, without stages"),
+    ],
+    "two long values": [
+        (cell({"stages": STAGES}), f"ippo, stages={STAGES}"),
+        (
+            cell({"stages": f"{STAGES[:-1]}, {{'env_steps': 1}}]"}),
+            f"ippo, stages={STAGES[:-1]}, {{'env_steps': 1}}]",
+        ),
+        (cell({}), "ippo, without stages"),
     ],
 }
 
