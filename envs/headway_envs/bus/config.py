@@ -53,7 +53,8 @@ class RewardConfig:
     scale_service: bool = False
     """Only with `scope=own`. True: multiply q by the number of buses that the line has outside the depot. In
     the line's reward, c of one bus counts 1 / that number, whereas q counts fully. Without the factor buses
-    learn to hold too long, especially on lines with many buses."""
+    learn to hold too long, especially on lines with many buses. In long trainings they do so with it, too:
+    use `scope=line`."""
     foresee_upkeep: bool = False
     """True: charge the future cost of low fuel and wear, up to the next time at the depot, as soon as it
     becomes foreseeable, and refund it when the bus is serviced. This makes costs that lie hours ahead, beyond
@@ -239,7 +240,7 @@ class DisruptionConfig:
         ):
             for key in keys:
                 same = getattr(self, key) == getattr(type(self), key)
-                fix = f"means nothing with {off}; leave it out, or give another, such as {example}"
+                fix = f"means nothing with {off}; leave it out, or switch it on, such as by {example}"
                 require_key(is_on or same, key, fix)
 
     @property

@@ -91,7 +91,7 @@ class Runner:
             self._store_unstarted(stopped)
             self._add_results_of_others()
             rules_from = time.thread_time()
-            self._rules_stopped = not stopped and self._stopped_in_rules()
+            self._rules_stopped = not stopped and not self._play_rules()
             stopped = stopped or self._rules_stopped
             self._own_cpu_s -= time.thread_time() - rules_from
         finally:
@@ -166,15 +166,15 @@ class Runner:
                 job.create_runs(self._shares)
                 self._store_end(job)
 
-    def _stopped_in_rules(self) -> bool:
-        """Play the rules of all cells; return whether Ctrl-C or SIGTERM ended that."""
+    def _play_rules(self) -> bool:
+        """Play the rules of all cells; return False if Ctrl-C or SIGTERM ended that."""
         played: dict[str, Rules] = {}
         try:
             for cell in self._cells:
                 cell.play_rules(played)
         except KeyboardInterrupt:
-            return True
-        return False
+            return False
+        return True
 
     def _end_cells(self) -> None:
         metrics = self._energy.stop()
@@ -292,9 +292,10 @@ class Runner:
                 )
             print_line(f"headway: {waiting}{when}: {own_name()} resume {named}{option}")
         elif self._rules_stopped:
-            resume = f"{own_name()} resume --study {study}{option}"
-            how = f": {resume}" if self._plan_kept else ", repeat the command with `sweep` instead of `run`"
-            print_line(f"headway: stopped before all rules were played; to play them{how}")
+            how = f"resume --study {study}" if self._plan_kept else f"compare {study}"
+            print_line(
+                f"headway: stopped before all rules were played; to play them: {own_name()} {how}{option}"
+            )
 
 
 def store_share(recorders: Sequence[JobRecorder], own_cpu_s: float) -> str:

@@ -147,7 +147,7 @@ def test_a_fault_is_named_by_its_row_in_an_unsorted_file(tables: Tables) -> None
 
 
 def test_hours_without_trips_are_named_with_those_to_set(tables: Tables) -> None:
-    """Also hours long after the last trip, in which nobody is served."""
+    """Also hours long after the last trip, in which no passenger is served."""
     inside = tables.trips["dep_s"].between(7 * 3600.0, 9 * 3600.0, inclusive="left")
     short = replace(tables, trips=tables.trips[inside])
     with pytest.raises(

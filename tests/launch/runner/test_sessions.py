@@ -144,9 +144,9 @@ def test_ctrl_c_while_rules_are_played_says_how_to_play_them(
     shown = capsys.readouterr()
     assert "FINISHED" in shown.out
     line = shown.err.splitlines()[-1]
-    end = " resume --study toys" if plan_kept else ", repeat the command with `sweep` instead of `run`"
-    assert line.startswith("headway: stopped before all rules were played; to play them")
-    assert line.endswith(end)
+    command = "resume --study toys" if plan_kept else "compare toys"
+    assert line.startswith("headway: stopped before all rules were played; to play them: ")
+    assert line.endswith(f" {command}")
 
 
 def _interrupted(*_: object) -> NoReturn:
