@@ -1,11 +1,32 @@
 """The networks of the study of one policy on several, and its tables."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.generated_networks import RULES, generate, print_table
+from benchmarks.__main__ import REPORTS, main
+from benchmarks.generated_networks import GENERATE, RULES, TRIPS, generate, print_table
+
+GUIDE = Path(__file__).parents[2] / "docs" / "howto" / "sumo_network.md"
+
+
+def test_the_guide_generates_the_same_networks() -> None:
+    page = " ".join(GUIDE.read_text(encoding="utf-8").replace("\\\n", "").split())
+    assert f"netgenerate {' '.join(GENERATE)} --seed" in page
+    assert f"{' '.join(TRIPS)} --seed" in page
+
+
+def test_without_sumo_s_programs_one_line_names_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "sumo", None)
+    monkeypatch.setitem(REPORTS, "generated_networks", lambda: generate(1, tmp_path))
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "generated_networks"])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert capsys.readouterr().err.endswith("missing: install the package eclipse-sumo\n")
 
 
 def test_a_seed_gives_a_network_with_junctions_and_traffic(tmp_path: Path) -> None:
