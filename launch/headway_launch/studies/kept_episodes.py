@@ -51,14 +51,18 @@ def keep_episodes(
         for run, iteration, episodes in zip(members, iterations, played, strict=True)
     }
     kept: dict[str, Any] = {"seed": root, "mode": mode, "rules": dict(rules), "runs": runs}
+    before, stored = None, dict[str, dict[str, Any]]()
     with suppress(AttributeError, HeadwayError, KeyError, TypeError):  # missing or damaged
-        stored = read_json(path)
-        others = stored["runs"].keys() - runs.keys()
-        if _episodes(stored) == _episodes(kept):
-            kept |= {part: stored[part] | kept[part] for part in ("rules", "runs")}
-        elif others:
-            lost = counted(len(others), "other run")
-            print_line(f"headway: kept episodes of {lost} removed: of another --episodes, --seed or --mode")
+        content = read_json(path)
+        before, stored = _episodes(content), {part: {**content[part]} for part in ("runs", "rules")}
+    if before == _episodes(kept):
+        kept |= {part: stored[part] | kept[part] for part in stored}
+    else:
+        others = {part: len(stored[part].keys() - kept[part].keys()) for part in stored}
+        lost = " and ".join(counted(count, f"other {part[:-1]}") for part, count in others.items() if count)
+        if lost:
+            reason = "they were played with another --episodes, --seed or --mode"
+            print_line(f"headway: removed the kept episodes of {lost}: {reason}")
     try:
         write_json(path, kept)
     except OSError as error:

@@ -1,6 +1,7 @@
 """Stored episodes of best policies: what storing those of some runs does to those of others."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from small_runs import SMALL
@@ -24,9 +25,11 @@ def runs(tmp_path: Path) -> list[StoredRun]:
     ]
 
 
-def keep(run: StoredRun, value: float, rule: str, count: int = 3, root: int = 7) -> None:
+def keep(
+    run: StoredRun, value: float, rule: str, count: int = 3, root: int = 7, mode: str = "greedy"
+) -> None:
     rows: list[Row] = [{"return": value}] * count
-    keep_episodes([run], [1], [rows], {rule: rows}, root, "greedy")
+    keep_episodes([run], [1], [rows], {rule: rows}, root, mode)
 
 
 def kept(run: StoredRun) -> tuple[dict[str, float], dict[str, float]]:
@@ -45,16 +48,20 @@ def test_runs_and_rules_that_were_not_selected_keep_their_episodes(runs: list[St
     assert kept(runs[0]) == ({names[0]: 3.0, names[1]: 2.0}, {"random": 3.0, "optimal": 2.0})
 
 
-@pytest.mark.parametrize("other", [{"count": 4}, {"root": 8}])
+@pytest.mark.parametrize("other", [{"count": 4}, {"root": 8}, {"mode": "sampled"}])
 def test_other_episodes_replace_all_and_a_line_says_so(
-    other: dict[str, int], runs: list[StoredRun], capsys: pytest.CaptureFixture[str]
+    other: dict[str, Any], runs: list[StoredRun], capsys: pytest.CaptureFixture[str]
 ) -> None:
     keep(runs[0], 1.0, "random")
     keep(runs[0], 1.0, "random", count=5)
     assert not capsys.readouterr().err
     keep(runs[1], 2.0, "optimal", **other)
     assert kept(runs[0]) == ({runs[1].record.run_id: 2.0}, {"optimal": 2.0})
-    assert "kept episodes of 1 other run removed: of another --episodes" in capsys.readouterr().err
+    reason = "they were played with another --episodes, --seed or --mode"
+    said = f"removed the kept episodes of 1 other run and 1 other rule: {reason}"
+    assert said in capsys.readouterr().err
+    keep(runs[1], 2.0, "random")
+    assert f"removed the kept episodes of 1 other rule: {reason}" in capsys.readouterr().err
     best_file(runs[0].store, "toys", runs[0].record.cell).write_text('{"runs": 1}')
     keep(runs[0], 1.0, "random")
     assert kept(runs[0]) == ({runs[0].record.run_id: 1.0}, {"random": 1.0})
