@@ -3,6 +3,7 @@
 import csv
 import difflib
 import io
+import re
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
@@ -179,7 +180,7 @@ def read_texts(path: Path) -> tuple[pd.DataFrame, str]:
                 skip_blank_lines=False,
             )
     except (ValueError, pd.errors.ParserWarning) as error:
-        raise HeadwayError(f"{path.name}, {_fault(text, separator)}") from error
+        raise HeadwayError(f"{path.name}{_fault(text, separator, error)}") from error
     frame.columns = frame.columns.str.strip()
     frame.index += 2  # as a spreadsheet counts them, below the heading
     frame = frame.fillna("").apply(lambda column: column.str.strip())
@@ -189,16 +190,21 @@ def read_texts(path: Path) -> tuple[pd.DataFrame, str]:
     return frame, separator
 
 
-def _fault(text: str, separator: str) -> str:
-    """Return the row and the fault of a text that is no table: too many cells, or an open quotation."""
+def _fault(text: str, separator: str, error: Exception) -> str:
+    """Return the row and the fault of a text that pandas refuses with `error`: too many cells, an open
+    quotation, or what pandas says."""
     rows = csv.reader(io.StringIO(text, newline=None), delimiter=separator)
-    number, width = 1, len(next(rows))
     with suppress(csv.Error):  # a quotation longer than its limit
+        width = len(next(rows))
         for number, row in enumerate(rows, 2):
             if len(row) > width:
                 cells = f"{len(row)} cells separated by '{separator}'"
-                return f"row {number}: {cells}, where the heading has {width}; give every row as many"
-    return f"row {number}: a quotation mark is not closed; close or remove it"
+                return f", row {number}: {cells}, where the heading has {width}; give every row as many"
+    said = " ".join(str(error).split())
+    still_open = re.search(r"EOF inside string starting at row (\d+)", said)  # counted from 0
+    if still_open:
+        return f", row {int(still_open[1]) + 1}: a quotation mark is not closed; close or remove it"
+    return f" cannot be read ({said}); correct it"
 
 
 def _check_names(name: str, there: list[str], columns: Mapping[str, Column]) -> None:

@@ -14,6 +14,7 @@ from headway_envs.bus.prepare import prepare, prepare_replay
 from headway_envs.bus.realism import trip_statistics
 from headway_envs.bus.realism.calls import COLUMNS, recorded_day, simulated_days
 from headway_envs.bus.realism.comparison import OWN, compare_replay
+from headway_envs.bus.scenario.csv_files.files import read_texts
 from headway_envs.bus.scenario.csv_files.importer import import_csv
 from headway_envs.bus.scenario.source import scenario_tables
 from headway_envs.bus.scenario.tables import check_tables, write_tables
@@ -103,6 +104,7 @@ def test_origin_destination_counts_give_both_ends(example: Path) -> None:
         ("stops", "52.5240", "52,5240", "stops.csv, row 3: 4 cells separated by ',', where the heading"),
         ("stops", "Station,", "Station,0,", "stops.csv, row 2: 4 cells separated by ',', where the heading"),
         ("stops", "Market", '"Market', "stops.csv, row 3: a quotation mark is not closed"),
+        ("stops", "stop,", '"stop,' + 140_000 * "x", "stops.csv, row 1: a quotation mark is not closed"),
         ("stops", "Market", "\n,,\nMarket,1", "stops.csv, row 5: 4 cells separated by ','"),
         ("stops", "Market,52", "\n,,\nMarket,x", "stops.csv, row 5, column lat: 'x.5240' is not a number"),
         ("stops", "52.5240", "north", "stops.csv, row 3, column lat: 'north' is not a number; correct it"),
@@ -142,6 +144,13 @@ def test_a_fault_is_named_by_file_row_and_column(
         import_csv(example)
     assert said in str(error.value), error.value
     assert "\n" not in str(error.value)
+
+
+def test_another_fault_is_given_in_the_words_of_pandas(tmp_path: Path) -> None:
+    path = tmp_path / "stops.csv"
+    path.write_text("\ufeff\ufeff\n\nstop\n1\n", encoding="utf-8")
+    with pytest.raises(HeadwayError, match=r"^stops.csv cannot be read \(No columns to parse from file\)"):
+        read_texts(path)
 
 
 def test_pairs_with_alightings_are_refused(example: Path) -> None:
