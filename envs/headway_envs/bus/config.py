@@ -9,6 +9,15 @@ from headway.contracts.checks import require, require_at_least, require_key, req
 SCENARIOS = ("line", "corridor", "district", "city")
 """Names of the built-in synthetic scenarios; any other `scenario` is the path of a scenario folder."""
 
+FIRST_HOUR, LAST_HOUR = 4, 26
+"""Limits of the service day, h."""
+
+
+def service_hours(first_departure_h: float, last_arrival_h: float) -> tuple[int, int]:
+    """Return the `start_hour` and `end_hour` that contain a service, as far as the limits allow."""
+    start = min(max(math.floor(first_departure_h), FIRST_HOUR), LAST_HOUR - 1)
+    return start, max(min(math.ceil(last_arrival_h), LAST_HOUR), start + 1)
+
 
 def _require_share(**values: float) -> None:
     """Raise ValueError unless every value lies between 0 and 1."""
@@ -383,8 +392,11 @@ class BusConfig:
         for name in ("skipping", "boarding_limit"):
             same = getattr(self, name) == getattr(type(self), name)
             require_key(same or self.hold_levels > 0, name, "needs Discrete actions, not hold_levels=0")
-        hours = f"4 <= start_hour < end_hour <= 26 must hold, not {self.start_hour} and {self.end_hour}"
-        require(4 <= self.start_hour < self.end_hour <= 26, f"{hours}; such as start_hour=5 end_hour=24")
+        hours = f"{FIRST_HOUR} <= start_hour < end_hour <= {LAST_HOUR} must hold"
+        require(
+            FIRST_HOUR <= self.start_hour < self.end_hour <= LAST_HOUR,
+            f"{hours}, not {self.start_hour} and {self.end_hour}; such as start_hour=5 end_hour=24",
+        )
         require_value(
             self, "tick_s", self.day_s % self.tick_s == 0, f"must divide the service day of {self.day_s:g} s"
         )

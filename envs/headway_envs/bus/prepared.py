@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from headway_envs.array_env import record
-from headway_envs.bus.config import OBSERVATIONS, BusConfig
+from headway_envs.bus.config import OBSERVATIONS, BusConfig, service_hours
 from headway_envs.bus.kernel.layout import SCOPE_LINE, SCOPE_OWN, SCOPE_TEAM, SETTINGS, Network
 
 
@@ -44,7 +44,8 @@ class Prepared:
         last_h = self.network.trip_departure.max() / 3600.0
         if self.config.end_hour - last_h < 3.0:
             return ()
-        end = min(math.ceil(last_h + self.network.line_trip.max() / 3600.0), self.config.end_hour)
+        _, end = service_hours(self.config.start_hour, last_h + self.network.line_trip.max() / 3600.0)
+        end = min(end, self.config.end_hour)
         return (
             f"no trip leaves after {last_h:.1f} h: passengers left behind wait until the day ends, at "
             f"{self.config.end_hour} h; set env.args.end_hour={end}",

@@ -151,12 +151,20 @@ def test_hours_without_trips_are_named_with_those_to_set(tables: Tables) -> None
     inside = tables.trips["dep_s"].between(7 * 3600.0, 9 * 3600.0, inclusive="left")
     short = replace(tables, trips=tables.trips[inside])
     with pytest.raises(
-        HeadwayError, match=r"between 12 and 24 h: set env.args.start_hour=7 env.args.end_hour=9$"
+        HeadwayError, match=r"between 12 and 24 h: set env.args.start_hour=7 env.args.end_hour=10$"
     ):
         build(short, BusConfig(start_hour=12))
     weekdays = replace(short, trips=short.trips[short.trips["daytype"] == "weekday"])
     with pytest.raises(HeadwayError, match=r"of day_type sunday .*: set env.args.day_type=weekday$"):
         build(weekdays, BusConfig(day_type="sunday"))
+    for hours, fix in (
+        (-4.5, r"set env.args.start_hour=4 env.args.end_hour=\d$"),
+        (17.5, r"set env.args.start_hour=24 env.args.end_hour=26$"),
+        (20.0, r"correct dep_s, because only 4 to 26 h can be simulated$"),
+    ):
+        moved = {name: short.trips[name] + hours * 3600.0 for name in ("dep_s", "arr_s")}
+        with pytest.raises(HeadwayError, match=fix):
+            build(replace(short, trips=short.trips.assign(**moved)), BusConfig())
     config = BusConfig()
     [notice] = Prepared(config, *build(short, config), "").notices
     before, _, end = notice.partition("=")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import HeadwayError
-from headway_envs.bus.config import BusConfig
+from headway_envs.bus.config import FIRST_HOUR, LAST_HOUR, BusConfig, service_hours
 from headway_envs.bus.kernel.layout import BIN_S, FIRST_KNOT_HOUR, KNOT_HOURS, KNOT_S, KNOTS, Network
 from headway_envs.bus.scenario.measures import distance_m
 from headway_envs.bus.scenario.tables import PERIOD_HOURS, Columns, Tables
@@ -130,12 +130,17 @@ def trips_of_day(tables: Mapping[str, Columns], config: BusConfig) -> Columns:
     own = trips["daytype"] == config.day_type
     leaves = own & (hour >= config.start_hour) & (hour < config.end_hour)
     if not leaves.any():
-        fix = f"day_type={trips['daytype'][0]}"
-        if own.any():
-            fix = f"start_hour={hour[own].min():.0f} env.args.end_hour={hour[own].max() + 1:.0f}"
+        able = own & (hour >= FIRST_HOUR) & (hour < LAST_HOUR)
+        fix = f"set env.args.day_type={trips['daytype'][0]}"
+        if able.any():
+            first_s, last_s = trips["dep_s"][able].min(), trips["arr_s"][able].max()
+            start, end = service_hours(first_s / 3600.0, last_s / 3600.0)
+            fix = f"set env.args.start_hour={start} env.args.end_hour={end}"
+        elif own.any():
+            fix = f"correct dep_s, because only {FIRST_HOUR} to {LAST_HOUR} h can be simulated"
         raise HeadwayError(
             f"table trips has no trip of day_type {config.day_type} that leaves between {config.start_hour} "
-            f"and {config.end_hour} h: set env.args.{fix}"
+            f"and {config.end_hour} h: {fix}"
         )
     return _select(trips, leaves)
 

@@ -127,14 +127,13 @@ def _service_hours(day: "DayStatistics") -> str:
 
     Passengers who remain after the last bus are charged until the end of the simulated day.
     """
-    from headway_envs.bus.config import BusConfig
+    from headway_envs.bus.config import BusConfig, service_hours
     from headway_envs.bus.scenario.description import clock
 
     config = BusConfig()
     if math.floor(day.first_h) <= config.start_hour and math.ceil(day.last_h) >= config.end_hour:
         return ""
-    start = min(max(math.floor(day.first_h), 4), 25)
-    end = max(min(math.ceil(day.last_h), 26), start + 1)
+    start, end = service_hours(day.first_h, day.last_h)
     print(
         f"service: {clock(day.first_h)} to {clock(day.last_h)}, whereas {clock(config.start_hour)} to "
         f"{clock(config.end_hour)} is simulated by default: keep start_hour and end_hour below in every "
