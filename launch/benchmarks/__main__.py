@@ -41,7 +41,12 @@ ONLY_NAMED = ("mixed_autonomy", "generated_networks")
 def main() -> None:
     """Print the reports named on the command line, or all but `ONLY_NAMED`."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measure Headway's speed.")
-    parser.add_argument("names", metavar="NAME", nargs="*", help=", ".join(REPORTS))
+    parser.add_argument(
+        "names",
+        metavar="NAME",
+        nargs="*",
+        help=f"{', '.join(REPORTS)} (default: all but {', '.join(ONLY_NAMED)})",
+    )
     names = parser.parse_args().names or [name for name in REPORTS if name not in ONLY_NAMED]
     for name in names:
         if name not in REPORTS:
