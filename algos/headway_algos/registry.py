@@ -71,12 +71,13 @@ def _refuses_anchor(config: AlgoConfig, kl_coeff: float) -> str | None:
     if not component("update", config.update).penalises:
         return (
             f"start.kl_coeff is a penalty on a loss, and algo.update={config.update} bounds its steps by "
-            "itself; lower algo.kl_bound, or leave start.kl_coeff out"
+            "itself; lower algo.kl_bound, and add start.kl_coeff=0"
         )
     if config.model.core != "none":
         return (
             "start.kl_coeff is for feedforward policies, and the start policy of algo.model.core="
-            f"{config.model.core} would need a hidden state of its own; use core=none, or leave it out"
+            f"{config.model.core} would need a hidden state of its own; use core=none, or add "
+            "start.kl_coeff=0"
         )
     return None
 

@@ -31,8 +31,8 @@ def _no_objection(*_: object) -> None:
 
 def _no_anchor(config: Any, kl_coeff: float) -> str | None:  # noqa: ANN401 - any record
     return (
-        "this algorithm supports neither start.kl_coeff nor start.critic_iterations; leave them out, or use "
-        "another algorithm, such as algo=ippo"
+        "this algorithm supports neither start.kl_coeff nor start.critic_iterations; add start.kl_coeff=0 "
+        "start.critic_iterations=0, or use another algorithm, such as algo=ippo"
     )
 
 

@@ -297,7 +297,7 @@ def test_a_critic_may_learn_first_in_all_iterations_but_one() -> None:
     [
         (
             ["algo=madqn", "start.critic_iterations=2"],
-            "madqn: this algorithm supports neither .* leave them out",
+            "madqn: this algorithm supports neither .* add start.kl_coeff=0 start.critic_iterations=0",
         ),
         (
             ["algo=madqn", "start.kl_coeff=0.1"],
