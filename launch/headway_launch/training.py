@@ -63,14 +63,16 @@ def sweep(
 
 @contextmanager
 def _session(config_dir: str | Path | None) -> Iterator[None]:
-    from headway_launch.console.output import exit_of_environment
+    from headway_launch.console.output import distinct_notices, exit_of_environment
     from headway_launch.console.threads import one_thread
     from headway_launch.experiments.options import own_configs
 
     if threading.current_thread() is not threading.main_thread():
         raise HeadwayError("run and sweep work in the main thread only, where Ctrl-C reaches them")
     try:
-        with one_thread(), nullcontext() if config_dir is None else own_configs(str(config_dir)):
+        own = nullcontext() if config_dir is None else own_configs(str(config_dir))
+        with one_thread(), distinct_notices(), own:
+            yield
             yield
     except SystemExit as error:
         raise HeadwayError(exit_of_environment(error)) from error

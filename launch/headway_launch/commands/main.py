@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 from headway.config.schema import nearest, suggestion
 from headway.contracts.errors import EnvironmentRaisedError, HeadwayError
-from headway_launch.console.output import exit_of_environment, print_line, silence
+from headway_launch.console.output import distinct_notices, exit_of_environment, print_line, silence
 from headway_launch.console.threads import limit_threads
 
 _ABOUT = "Multi-agent reinforcement-learning experiments in transport."
@@ -166,7 +166,8 @@ def run(arguments: Sequence[str], typed: bool = False) -> int:
     words = [word for word in arguments if word != "--debug"]
     debug = len(words) < len(arguments)
     try:
-        code = _dispatch(words, debug, typed)
+        with distinct_notices():
+            code = _dispatch(words, debug, typed)
         sys.stdout.flush()  # a closed pipe or full disk raises here, inside the try block
         return code
     except BaseException as error:

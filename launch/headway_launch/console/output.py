@@ -5,9 +5,12 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TextIO
 from unicodedata import category
+
+_NOTICED: ContextVar[set[str]] = ContextVar("noticed")
 
 
 def print_line(line: str) -> None:
@@ -16,6 +19,24 @@ def print_line(line: str) -> None:
         print(visible(line), file=sys.stderr, flush=True)
     except OSError:
         silence(sys.stderr)
+
+
+def print_notice(line: str) -> None:
+    """Print a line on stderr, within `distinct_notices` only the first time."""
+    noticed = _NOTICED.get(set())
+    if line not in noticed:
+        noticed.add(line)
+        print_line(f"headway: {line}")
+
+
+@contextmanager
+def distinct_notices() -> Iterator[None]:
+    """Print each notice once: cells of a sweep, and rungs of a search, have some in common."""
+    token = _NOTICED.set(set())
+    try:
+        yield
+    finally:
+        _NOTICED.reset(token)
 
 
 def visible(text: str) -> str:

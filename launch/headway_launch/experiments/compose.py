@@ -30,7 +30,7 @@ from headway.environments import chosen_env
 from headway.registry import is_external, rule_entry, wrapper_entry
 from headway.rollout.workers.shared_memory import give_back_memory
 from headway.store.run_folder import find_run
-from headway_launch.console.output import print_line, prints_to_stderr
+from headway_launch.console.output import print_notice, prints_to_stderr
 from headway_launch.experiments.experiment_file import choice_of_file, split_experiment_file, unknown_option
 from headway_launch.experiments.options import (
     NO_ENV,
@@ -208,7 +208,7 @@ class Experiment:
         other = [f"a file of env={env_id} is not that of the run's training; results may differ"] * changed
         of_data = chain(*(getattr(data, "notices", ()) for data in (prepared, *stages)))
         for line in dict.fromkeys((*of_data, *large, *other)):
-            print_line(f"headway: {line}")
+            print_notice(line)
         return PreparedEnv(self.env, prepared, tuple(stages), spec)
 
     def _training_data(self, config: object, prepared: object) -> object:

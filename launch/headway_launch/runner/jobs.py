@@ -16,7 +16,7 @@ from headway.rollout.plan import RolloutPlan, copies_limit_text, within_limit
 from headway.store.atomic_files import make_folder
 from headway.training.loop import ParentRun, TrainingJob
 from headway.wording import counted
-from headway_launch.console.output import print_line
+from headway_launch.console.output import print_notice
 from headway_launch.experiments.compose import Experiment, PreparedEnv
 from headway_launch.experiments.start import parent_run, start_rule
 
@@ -155,8 +155,8 @@ def new_jobs(
     ]
     if config.start.rule is not None:
         steps = config.rule_iterations * rollout.copies * rollout.steps
-        print_line(
-            f"headway: rule {config.start.rule} acts in the first {steps:,} steps of each run, and policies "
+        print_notice(
+            f"rule {config.start.rule} acts in the first {steps:,} steps of each run, and policies "
             "learn to imitate it"
         )
     parent = parent_run(experiment, jobs[0].training.plan.policy)
@@ -238,8 +238,8 @@ def _print_workers(rollout: RolloutConfig, algorithm: str) -> None:
     """
     number = rollout.copies // rollout.block
     workers = "1 worker" if number == 1 else f"{number} workers"
-    print_line(
-        f"headway: {algorithm} has {workers} (rollout.copies / rollout.block) and computes one gradient per "
+    print_notice(
+        f"{algorithm} has {workers} (rollout.copies / rollout.block) and computes one gradient per "
         f"rollout of {rollout.block} x {rollout.steps} steps"
     )
 

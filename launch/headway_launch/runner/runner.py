@@ -17,7 +17,7 @@ from headway.rollout.workers.usage import usable_cores
 from headway.stats.comparison import mean_return
 from headway.store.session import SessionStore
 from headway.wording import counted, environment_name
-from headway_launch.console.output import ignore_closed_pipe, own_name, print_line, relative
+from headway_launch.console.output import ignore_closed_pipe, own_name, print_line, print_notice, relative
 from headway_launch.experiments.parameters import session_settings
 from headway_launch.experiments.rules import require_valid_actions
 from headway_launch.runner.cell import Rules, SessionCell
@@ -336,4 +336,4 @@ def _print_training_notices(new: Sequence[PlannedJob]) -> None:
     plans = [plan for job in new for plan in (job.training.plan, *job.training.later_plans)]
     lines = [line for plan in plans for line in getattr(plan.training_prepared, "training_notices", ())]
     for line in dict.fromkeys(lines):
-        print_line(f"headway: {line}")
+        print_notice(line)
