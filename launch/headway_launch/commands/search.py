@@ -27,7 +27,8 @@ of the search (`headway list schema search`) or of all its runs. Candidates are 
 `search`, and are runs of the store; repeating the command continues an interrupted search. Candidates train
 on seeds from 9001 on, which no study reports.
 It ends with the best candidates, their cost, the expected best of n candidates as a table and as a picture,
-and a preset with the best candidate of each algorithm. `headway list searches` lists the searches.
+and a preset with the best candidate of each algorithm, with one per label where labels share an algorithm.
+`headway list searches` lists the searches.
 """
 
 
@@ -84,9 +85,10 @@ def _dry_run(parts: "Sequence[AlgorithmSearch]") -> int:
 
 def _print(session: "SearchSession", name: str) -> None:
     """Print the results of a search and write its picture and its preset."""
-    from headway_launch.console.output import ignore_closed_pipe, own_name, print_line, relative
+    from headway_launch.console.output import ignore_closed_pipe, own_name, print_line, print_notice, relative
     from headway_launch.experiments.options import own_folder
     from headway_launch.studies.search_results import (
+        presets_of,
         print_results,
         results_of,
         task_words,
@@ -100,13 +102,19 @@ def _print(session: "SearchSession", name: str) -> None:
     picture = session.database.with_suffix(".png")
     if write_picture(results, picture):
         print_line(f"expected best of n candidates: {relative(picture)}")
-    if any(result.best for result in results):
-        # Beside the experiment and the preset that the search began from, if they are the user's own.
-        folder = own_folder() or session.database.parent
-        preset = folder / "preset" / f"{session.database.stem}.yaml"
-        algorithms, notes = write_preset(results, preset, name)
-        words = [*task_words(session.parts[0]), f"preset={preset.stem}", f"algo={','.join(algorithms)}"]
+    # Beside the experiment and the preset that the search began from, if they are the user's own.
+    folder = own_folder() or session.database.parent
+    notes = list[str]()
+    for stem, winners in presets_of(results, session.database.stem).items():
+        preset = folder / "preset" / f"{stem}.yaml"
+        notes += write_preset(winners, preset, name)
+        labels = ", ".join(winner.part.label for winner in winners.values())
+        words = [
+            *task_words(next(iter(winners.values())).part),
+            f"preset={stem}",
+            f"algo={','.join(winners)}",
+        ]
         command = shlex.join(["sweep", "--config-dir", relative(folder), *words, "seed=0..9"])
-        print_line(f"preset {relative(preset)}; use it with: {own_name()} {command}")
-        for line in notes:
-            print_line(line)
+        print_line(f"preset {relative(preset)} ({labels}); use it with: {own_name()} {command}")
+    for line in notes:
+        print_notice(line)

@@ -1,5 +1,6 @@
 """Results of a search: the best candidates, what they cost, the expected best of n, and a preset."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -183,31 +184,45 @@ def write_picture(results: Sequence[AlgorithmResult], path: Path) -> bool:
     return True
 
 
-def write_preset(results: Sequence[AlgorithmResult], path: Path, search: str) -> tuple[list[str], list[str]]:
-    """Write the preset with the best candidate of each algorithm.
+def presets_of(results: Sequence[AlgorithmResult], stem: str) -> dict[str, dict[str, AlgorithmResult]]:
+    """Return the results of which the presets of a search consist: preset -> algorithm -> result.
 
-    Returns the names of its algorithms and lines on settings that experiments set over any preset.
+    The preset `stem` has the better label of each algorithm; labels that share an algorithm have one preset
+    each too. Empty if no candidate was trained to the end.
+    """
+    labels: dict[str, list[AlgorithmResult]] = {}
+    for result in results:
+        if result.best is not None:
+            labels.setdefault(result.best.experiment.algo_name, []).append(result)
+    best = {name: min(own, key=lambda each: _rank(each.ranked[0])) for name, own in labels.items()}
+    shared = {
+        f"{stem}_{re.sub(r'[^A-Za-z0-9_.]', '-', result.part.label)}": {name: result}
+        for name, own in labels.items()
+        for result in own
+        if len(own) > 1
+    }
+    return {stem: best, **shared} if best else {}
+
+
+def write_preset(winners: Mapping[str, AlgorithmResult], path: Path, search: str) -> list[str]:
+    """Write a preset with the best candidate of each of `winners`, results by algorithm.
+
+    Returns lines on settings that experiments set over any preset.
     """
     import yaml
 
-    winners: dict[str, AlgorithmResult] = {}
-    for result in results:
-        if result.best is not None:
-            name = result.best.experiment.algo_name
-            winners[name] = min(winners.get(name, result), result, key=lambda each: _rank(each.ranked[0]))
     values: dict[str, Any] = {name: _tuned(result) for name, result in winners.items()}
     bases = [result.ranked[0].experiment.config.preset for result in winners.values()]
     if base := next((each for each in bases if each not in ("", NO_PRESET)), None):
         values = {"defaults": [base, "_self_"], **values}
-    budget = results[0].part.search
+    parts = [result.part for result in winners.values()]
     comment = (
-        f"# Found by `headway search {search}`: the best of {budget.candidates} per algorithm, "
-        f"{budget.env_steps:,} steps each.\n"
+        f"# Found by `headway search {search}` for {', '.join(part.label for part in parts)}: the best of "
+        f"{parts[0].search.candidates} candidates each, of {parts[0].search.env_steps:,} steps.\n"
     )
     make_folder(path.parent)
     write_text(path, comment + yaml.safe_dump(values, sort_keys=False))
-    notes = [line for name, result in winners.items() for line in _overridden(name, result, path)]
-    return list(winners), notes
+    return [line for name, result in winners.items() for line in _overridden(name, result, path)]
 
 
 def _tuned(result: AlgorithmResult) -> dict[str, Any]:
@@ -240,7 +255,7 @@ def _overridden(name: str, result: AlgorithmResult, path: Path) -> list[str]:
         dict(flat(full_mapping(each, ()), with_empty=True)) for each in (given, result.ranked[0].experiment)
     )
     return [
-        f"headway: {name}: the experiment sets {key} over any preset; add {key}={written(value)}"
+        f"{result.part.label}: the experiment sets {key} over any preset; add {key}={written(value)}"
         for key, value in ours.items()
         if is_searched(key) and theirs.get(key) != value
     ]

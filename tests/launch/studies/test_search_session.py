@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from command_lines import failed, output
 
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import locked
@@ -16,7 +17,7 @@ from headway_launch.experiments.options import own_configs
 from headway_launch.experiments.search import read_search
 from headway_launch.runner.runner import EXIT_DONE, EXIT_STOPPED, Runner
 from headway_launch.studies import search_session
-from headway_launch.studies.search_results import results_of, write_preset
+from headway_launch.studies.search_results import presets_of, results_of, write_preset
 from headway_launch.studies.search_session import Candidate, SearchSession
 from headway_launch.studies.trials import Trials
 
@@ -164,7 +165,9 @@ def test_results_have_the_best_and_its_preset(opened: Opened, untrained: Untrain
     assert ippo.expected_best.mean[0] == pytest.approx(np.mean([*scores, min(scores)]))
     assert ia2c.unscored == 0
     path = session.database.parent / "preset" / "found.yaml"
-    assert write_preset(results, path, "small") == (["ippo", "ia2c"], [])
+    presets = presets_of(results, "found")
+    assert presets == {"found": {"ippo": ippo, "ia2c": ia2c}}
+    assert write_preset(presets["found"], path, "small") == []
     lr = ippo.best.trial.values["algo.lr"]
     rollout = {"copies": 2, "block": 2, "steps": 16}
     assert yaml.safe_load(path.read_text())["ippo"] == {"rollout": rollout, "algo": {"gamma": 0.5, "lr": lr}}
@@ -175,9 +178,42 @@ def test_results_have_the_best_and_its_preset(opened: Opened, untrained: Untrain
     session = opened("others")
     assert session.run() == EXIT_DONE
     with own_configs(str(tmp_path)):
-        _, notes = write_preset(results_of(session), tmp_path / "preset" / "found.yaml", "small")
+        found = presets_of(results_of(session), "found")["found"]
+        notes = write_preset(found, tmp_path / "preset" / "found.yaml", "small")
     assert len(notes) == 2
-    assert notes[0].startswith("headway: ippo: the experiment sets algo.lr over any preset; add algo.lr=")
+    assert notes[0].startswith("ippo: the experiment sets algo.lr over any preset; add algo.lr=")
+
+
+def test_labels_of_one_algorithm_have_a_preset_each(
+    opened: Opened, untrained: Untrained, tmp_path: Path
+) -> None:
+    """The common one has the better of them."""
+    (tmp_path / "search" / "two.yaml").write_text(
+        SEARCH.replace("ippo: []", "ippo: [], one step: [algo=ippo, algo.gamma=0.0]")
+    )
+    untrained.failing = {("ippo", 0)}
+    opened("runs")
+    shown = output("search", "two", "--config-dir", str(tmp_path)).err
+    found = {path.stem: yaml.safe_load(path.read_text()) for path in (tmp_path / "preset").iterdir()}
+    assert set(found) == {"search_two", "search_two_ippo", "search_two_one-step"}
+    assert found["search_two"]["ippo"] == found["search_two_one-step"]["ippo"]
+    assert found["search_two"]["ippo"]["algo"]["gamma"] == 0.0
+    assert "gamma" not in found["search_two_ippo"]["ippo"]["algo"]
+    assert "search_two.yaml (one step, ia2c); use it with: " in shown
+    assert "search_two_ippo.yaml (ippo); use it with: " in shown
+    assert "env=trivial preset=search_two_ippo algo=ippo seed=0..9" in shown
+
+
+def test_notices_before_training_are_printed_once(
+    opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = SEARCH.replace("ippo: [], ia2c: []", "ippo: [start.rule=optimal, start.env_steps=32]")
+    (tmp_path / "search" / "small.yaml").write_text(text)
+    opened("runs")
+    monkeypatch.setattr(Runner, "run", lambda *_, report: EXIT_DONE)
+    shown = failed("search", "small", "--config-dir", str(tmp_path))
+    assert "batch 1 of 2, to step 64: candidates 2 of ippo" in shown
+    assert shown.count("rule optimal acts in the first 32 steps") == 1
 
 
 def test_values_that_do_not_go_together_are_told_before_training(
