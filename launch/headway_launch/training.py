@@ -73,7 +73,6 @@ def _session(config_dir: str | Path | None) -> Iterator[None]:
         own = nullcontext() if config_dir is None else own_configs(str(config_dir))
         with one_thread(), distinct_notices(), own:
             yield
-            yield
     except SystemExit as error:
         raise HeadwayError(exit_of_environment(error)) from error
 
