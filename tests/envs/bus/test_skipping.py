@@ -209,7 +209,7 @@ def test_a_hand_made_line_is_served_as_by_a_naive_loop() -> None:
 
 
 def test_a_boarding_limit_is_rounded_up_in_exact_arithmetic() -> None:
-    """As floating-point numbers, 0.28 times 25 is above 7."""
+    """Floating-point rounding, as of 0.28 times 25 to above 7, lets no further passenger board."""
     env = begun(BusBatchedEnv(hand_made(), 1), 5)
     net, k, world = env.network, env.prepared.settings[0], env.world
     world.queues["next_arrival"] = np.inf
