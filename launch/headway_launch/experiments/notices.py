@@ -5,7 +5,7 @@ from pathlib import Path
 
 from headway.config.experiment import NO_PRESET, ExperimentConfig
 from headway.wording import counted
-from headway_launch.console.output import print_line
+from headway_launch.console.output import print_notice
 from headway_launch.experiments.compose import Experiment
 from headway_launch.experiments.experiment_file import split_experiment_file
 
@@ -14,7 +14,7 @@ _INTERVALS = 6
 
 
 def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -> None:
-    """Print each notice about the `experiments` that `overrides` describe once."""
+    """Print the notices about the `experiments` that `overrides` describe."""
     file, words = split_experiment_file(overrides)
     lines = []
     if not file and not any(word.lstrip("+").startswith(("algo=", "experiment=")) for word in words):
@@ -22,8 +22,8 @@ def print_notices(overrides: Sequence[str], experiments: Sequence[Experiment]) -
         chosen = "" if preset == NO_PRESET else f", with preset={preset}"
         lines.append(f"no algo is named: algo={experiments[0].algo_name}{chosen} (`headway list algos`)")
     lines += [line for each in experiments for line in _about(each.config, len(each.rules))]
-    for line in dict.fromkeys(lines):
-        print_line(f"headway: {line}")
+    for line in lines:
+        print_notice(line)
 
 
 def _about(config: ExperimentConfig, rules: int) -> Iterator[str]:

@@ -332,8 +332,8 @@ def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False
 
 
 def _print_training_notices(new: Sequence[PlannedJob]) -> None:
-    """Print once what the training environments of new jobs have to say on their settings."""
+    """Print what the training environments of new jobs have to say on their settings."""
     plans = [plan for job in new for plan in (job.training.plan, *job.training.later_plans)]
-    lines = [line for plan in plans for line in getattr(plan.training_prepared, "training_notices", ())]
-    for line in dict.fromkeys(lines):
-        print_notice(line)
+    for plan in plans:
+        for line in getattr(plan.training_prepared, "training_notices", ()):
+            print_notice(line)

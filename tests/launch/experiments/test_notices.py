@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from headway.config.experiment import EnvConfig
+from headway_launch.console.output import distinct_notices
 from headway_launch.experiments.compose import compose
 from headway_launch.experiments.notices import print_notices
 
@@ -40,7 +41,8 @@ def test_what_was_defaulted_or_has_no_effect_is_said_once(
     words: list[str], lines: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     experiment = compose(words)
-    print_notices(words, [experiment, experiment])
+    with distinct_notices():
+        print_notices(words, [experiment, experiment])
     printed = capsys.readouterr().err.splitlines()
     assert [line for line in printed if "steps per run" not in line] == [f"headway: {line}" for line in lines]
 
@@ -53,7 +55,8 @@ def test_the_extent_of_a_run_is_said_with_its_rounding_and_its_folders(
     args = {"scenario": str(tmp_path), "none": "", "too_long": "x" * 300}
     few = replace(compose([*words, "env_steps=100"]).config, env=EnvConfig("e", args))
     many = compose([*words, "env_steps=1000"])
-    print_notices(["algo=ippo"], [replace(many, config=few), many, many])
+    with distinct_notices():
+        print_notices(["algo=ippo"], [replace(many, config=few), many, many])
     of = "(rollout.copies x rollout.steps)"
     assert capsys.readouterr().err.splitlines() == [
         f"headway: 200 steps per run (env_steps=100 rounded up), in 1 iteration of 200 {of}, 2 evaluations, "
