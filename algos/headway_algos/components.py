@@ -88,6 +88,11 @@ CRITICS = {
         CounterfactualConfig,
         Lazy("headway_algos.on_policy.critics.counterfactual:CounterfactualCritic"),
     ),
+    "none": Component(
+        "No critic: advantages are discounted returns within the iteration (REINFORCE).",
+        AlgoConfig,
+        Lazy("headway_algos.on_policy.critics.returns:NoCritic"),
+    ),
 }
 CRITIC_UPDATES = {
     "adam": Component(

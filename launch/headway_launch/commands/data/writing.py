@@ -17,12 +17,11 @@ if TYPE_CHECKING:
     from headway_envs.bus.scenario.tables import Tables
 
 _SETTINGS = (
-    (50, "algo=mappo"),
-    (400, "algo=ippo algo.gamma=0.99 algo.gae_lambda=0.95 rollout.copies=1 rollout.block=1"),
-    (math.inf, "algo=ippo preset=bus_lines env_steps=28_500"),
+    (50, "env=bus algo=mappo"),
+    (400, "experiment=bus_network seed=0"),
+    (math.inf, "experiment=bus_city seed=0"),
 )
-"""Maximum number of buses at once, and the settings suggested up to it: those of the line,
-`bus_study_network` and `bus_city`."""
+"""Maximum number of buses at once, and what is suggested to train up to it."""
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
@@ -117,9 +116,9 @@ def _print_written(tables: "Tables", out: Path) -> None:
     settings = next(settings for most, settings in _SETTINGS if buses <= most)
     # An environment runs weekdays by default.
     day_type = "" if days[0].day_type == "weekday" else f"env.args.day_type={days[0].day_type} "
-    given = f"{day_type}{_service_hours(days[0])}{settings}"
     scenario = shlex.quote(f"env.args.scenario={out}")
-    print(f"next: headway data describe {shlex.quote(str(out))}; headway run env=bus {scenario} {given}")
+    given = f"{settings} {scenario} {day_type}{_service_hours(days[0])}".rstrip()
+    print(f"next: headway data describe {shlex.quote(str(out))}; headway run {given}")
 
 
 def _service_hours(day: "DayStatistics") -> str:
