@@ -418,6 +418,7 @@ def _require_known_rule(values: Mapping[str, Any]) -> None:
     start = values.get("start")
     if isinstance(start, Mapping) and isinstance(rule := start.get("rule"), str):
         env = build(ExperimentConfig, {"env": values.get("env", {})}).env
+        env = replace(env, id=absolute_id(env.id))
         require_rule(rule, env.id, chosen_env(env).training_entry)
 
 
