@@ -5,7 +5,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -200,15 +199,14 @@ class Experiment:
             except HeadwayError as error:  # wrappers hide its inputs
                 raise HeadwayError(f"evaluation.rules: {error}") from error
         give_back_memory()  # each training process loads the same data next
-        large = [_LARGE.format(self.config.env.id, spec.observation_size)] * (
-            spec.observation_size > _LARGE_OBSERVATION
-        )
+        for data in (prepared, *stages):
+            for line in getattr(data, "notices", ()):
+                print_notice(line)
         stored, env_id = self.config.env.file_digest, self.config.env.id
-        changed = not is_external(env_id) and stored not in (None, self.file_digest)
-        other = [f"a file of env={env_id} is not that of the run's training; results may differ"] * changed
-        of_data = chain(*(getattr(data, "notices", ()) for data in (prepared, *stages)))
-        for line in dict.fromkeys((*of_data, *large, *other)):
-            print_notice(line)
+        if spec.observation_size > _LARGE_OBSERVATION:
+            print_notice(_LARGE.format(env_id, spec.observation_size))
+        if not is_external(env_id) and stored not in (None, self.file_digest):
+            print_notice(f"a file of env={env_id} is not that of the run's training; results may differ")
         return PreparedEnv(self.env, prepared, tuple(stages), spec)
 
     def _training_data(self, config: object, prepared: object) -> object:
