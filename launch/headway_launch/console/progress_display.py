@@ -5,7 +5,6 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import suppress
-from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from headway_launch.console.output import print_line, silence, visible
@@ -59,15 +58,10 @@ class _InPlace(ABC):
             self._live.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._live:
             with suppress(OSError):  # closed terminal
-                self._live.__exit__(kind, error, trace)
+                self._live.stop()
 
     def note(self, line: str) -> None:
         """Print a line that stays above the display."""
