@@ -47,9 +47,9 @@ class Task:
         once = ("evaluation.episodes=1", "evaluation.final_episodes=1", "evaluation.modes=[greedy]")
         experiment = compose([*self.words, *once, "evaluation.every=1_000_000_000", "evaluation.rules=[]"])
         config = experiment.config
-        iteration_steps = config.rollout.copies * config.rollout.steps
-        iterations = -(-self.env_steps // iteration_steps) + WARM_UP
-        [job] = plan_jobs(replace(experiment, config=replace(config, env_steps=iterations * iteration_steps)))
+        iterations = -(-self.env_steps // config.iteration_steps) + WARM_UP
+        steps = iterations * config.iteration_steps
+        [job] = plan_jobs(replace(experiment, config=replace(config, env_steps=steps)))
         return job
 
 

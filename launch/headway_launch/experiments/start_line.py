@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from headway.config.experiment import last_iterations
+from headway.config.experiment import last_iterations, steps_per_iteration
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import read_json
 from headway.store.parquet_log import read_rows
@@ -49,7 +49,7 @@ def start_line(
     if anchors:
         parts.append(f"was kept near that start by {' and '.join(anchors)}")
     if stages := config.get("stages"):
-        iteration_steps = config["rollout"]["copies"] * config["rollout"]["steps"]
+        iteration_steps = steps_per_iteration(config)
         ends = last_iterations([stage["env_steps"] for stage in stages], iteration_steps)
         steps = [(end - begin) * iteration_steps for begin, end in pairwise((0, *ends))]
         parts.append(f"was trained in stages: {', then '.join(map(_stage, stages, steps))}")
@@ -64,10 +64,10 @@ def _stage(stage: Mapping[str, Any], steps: int) -> str:
 def rule_start(root: Path, directories: Sequence[Path], metric: str) -> RuleStart | None:
     """Return the rule from which a cell's runs started, if any; arguments as those of `start_line`."""
     config = read_configuration(directories[0])
-    rule, rollout = (config.get("start") or {}).get("rule"), config["rollout"]
+    rule = (config.get("start") or {}).get("rule")
     if not rule:
         return None
-    iteration_steps = rollout["copies"] * rollout["steps"]
+    iteration_steps = steps_per_iteration(config)
     iterations = -(-config["start"]["env_steps"] // iteration_steps)
     imitated = [
         float(row[metric])

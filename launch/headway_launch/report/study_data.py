@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from headway.config.experiment import last_iterations
+from headway.config.experiment import last_iterations, steps_per_iteration
 from headway.contracts.entries import is_lookahead
 from headway.contracts.errors import HeadwayError
 from headway.events import LABELS
@@ -429,7 +429,7 @@ def _require_other_cells(runs: Sequence["RunRow"], others: Sequence["RunRow"]) -
 
 
 def _stage_ends(config: Mapping[str, Any]) -> tuple[int, ...]:
-    iteration_steps = config["rollout"]["copies"] * config["rollout"]["steps"]
+    iteration_steps = steps_per_iteration(config)
     lengths = [stage["env_steps"] for stage in config.get("stages") or ()]
     return tuple(last * iteration_steps for last in last_iterations(lengths[:-1], iteration_steps))
 

@@ -132,10 +132,10 @@ def new_jobs(
     """
     experiment.require_unchanged_files()
     environment = experiment.prepare(known)
-    requested, rollout = experiment.config, experiment.config.rollout
+    requested = experiment.config
     if reason := experiment.algo.refuses_budget(experiment.algo_config, requested.iterations):
         raise HeadwayError(
-            f"with {counted(requested.iterations, 'iteration')} of {rollout.copies * rollout.steps} steps "
+            f"with {counted(requested.iterations, 'iteration')} of {requested.iteration_steps} steps "
             f"(rollout.copies x rollout.steps) {reason}"
         )
     if experiment.algo.contributor is None:
@@ -154,7 +154,7 @@ def new_jobs(
         for first in range(0, len(seeds), stack)
     ]
     if config.start.rule is not None:
-        steps = config.rule_iterations * rollout.copies * rollout.steps
+        steps = config.rule_iterations * config.iteration_steps
         print_notice(
             f"rule {config.start.rule} acts in the first {steps:,} steps of each run, and policies "
             "learn to imitate it"

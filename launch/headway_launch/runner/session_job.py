@@ -40,7 +40,7 @@ class SessionJob:
             planned.training.pause_after or config.iterations,
             config.evaluation.modes[0],
             iteration=planned.iteration,
-            iteration_steps=config.rollout.copies * config.rollout.steps,
+            iteration_steps=config.iteration_steps,
             label=cell.plan.label,
         )
         return cls(cell, planned, progress)

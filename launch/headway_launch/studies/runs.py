@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from headway.config.experiment import last_iterations
+from headway.config.experiment import steps_per_iteration
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway_launch.console.output import print_line
@@ -164,9 +164,9 @@ def rule_phases(runs: "RunSelection") -> dict[str, dict[str, tuple[str, int]]]:
             config = configuration(row.directory)
         start, name = config.get("start") or {}, runs.names[row.cell]
         if start.get("rule") and name.controller not in phases.get(name.task, {}):
-            iteration_steps = config["rollout"]["copies"] * config["rollout"]["steps"]
-            [iterations] = last_iterations([start["env_steps"]], iteration_steps)
-            phases.setdefault(name.task, {})[name.controller] = start["rule"], iterations * iteration_steps
+            iteration_steps = steps_per_iteration(config)
+            steps = -(-start["env_steps"] // iteration_steps) * iteration_steps
+            phases.setdefault(name.task, {})[name.controller] = start["rule"], steps
     return phases
 
 

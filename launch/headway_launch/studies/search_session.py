@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from headway.config.experiment import ExperimentConfig, last_iterations
+from headway.config.experiment import ExperimentConfig
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import locked
@@ -52,9 +52,7 @@ class Candidate:
 
     def iteration_at(self, env_steps: int) -> int:
         """Return the iteration that reaches `env_steps`."""
-        rollout = self.experiment.config.rollout
-        [iteration] = last_iterations([env_steps], rollout.copies * rollout.steps)
-        return iteration
+        return -(-env_steps // self.experiment.config.iteration_steps)
 
 
 class SearchSession:
@@ -219,7 +217,7 @@ class SearchSession:
             return math.nan
         values = []
         for run in ended:
-            limit = last * config.rollout.copies * config.rollout.steps
+            limit = last * config.iteration_steps
             curve = read_curve(run.directory, self.search.curve)
             points = {steps: value for steps, value in curve.items() if steps <= limit}
             if not points:

@@ -137,8 +137,7 @@ class Verification:
             [job] = new_jobs(together, stack, known)
         if self._env_steps is None:
             return job
-        rollout = job.config.rollout
-        last = -(-self._env_steps // (rollout.copies * rollout.steps))
+        last = -(-self._env_steps // job.config.iteration_steps)
         if last >= job.config.iterations:
             return job
         return replace(job, training=replace(job.training, pause_after=last))
@@ -191,12 +190,12 @@ class PlannedRun:
     @property
     def env_steps(self) -> int:
         """Environment steps of these iterations."""
-        return self.iterations * self._iteration_steps
+        return self.iterations * self.job.config.iteration_steps
 
     @property
     def description(self) -> str:
         """What is trained, and what the archived training took."""
-        total, seeds = self.job.config.iterations * self._iteration_steps, len(self.job.seeds)
+        total, seeds = self.job.config.iterations * self.job.config.iteration_steps, len(self.job.seeds)
         stack = f", with the {seeds} seeds of its stack" if seeds > 1 else ""
         cpu_s = read_summary(self.run.directory).get("cpu_seconds")
         used = "" if cpu_s is None else f" and {float(cpu_s):,.0f} CPU s"
@@ -204,10 +203,6 @@ class PlannedRun:
             f"training {self.run.record.run_id} again, {self.env_steps:,} of {total:,} steps{stack}; the "
             f"whole run took {duration(self.run.record.duration_s)}{used}"
         )
-
-    @property
-    def _iteration_steps(self) -> int:
-        return self.job.config.rollout.copies * self.job.config.rollout.steps
 
 
 def differences(there: Mapping[str, str], here: Mapping[str, str]) -> Iterator[str]:

@@ -352,13 +352,13 @@ class ExperimentConfig:
             all(lengths),
             "stages",
             "must each last an iteration or longer, of "
-            f"{self.rollout.copies * self.rollout.steps} steps (rollout.copies x rollout.steps)",
+            f"{self.iteration_steps} steps (rollout.copies x rollout.steps)",
         )
         require_key(
             self.rule_iterations < self.iterations,
             "start.env_steps",
             f"of {self.start.env_steps} leaves nothing of env_steps={self.env_steps} to learn in: both are "
-            f"rounded up to iterations of {self.rollout.copies * self.rollout.steps} steps (rollout.copies x "
+            f"rounded up to iterations of {self.iteration_steps} steps (rollout.copies x "
             "rollout.steps); lower it, or raise env_steps",
         )
         require_key(
@@ -372,7 +372,7 @@ class ExperimentConfig:
             critic <= largest,
             "start.critic_iterations",
             f"of {critic} leaves no iteration in which policies learn: after the start there are "
-            f"{largest + 1}, of {self.rollout.copies * self.rollout.steps} steps (rollout.copies x "
+            f"{largest + 1}, of {self.iteration_steps} steps (rollout.copies x "
             f"rollout.steps); set at most {largest}, or raise env_steps",
         )
 
@@ -422,6 +422,11 @@ class ExperimentConfig:
     def iteration_steps(self) -> int:
         """Environment steps per seed and iteration."""
         return self.rollout.copies * self.rollout.steps
+
+
+def steps_per_iteration(config: Mapping[str, Any]) -> int:
+    """Return `ExperimentConfig.iteration_steps` of a stored configuration."""
+    return int(config["rollout"]["copies"] * config["rollout"]["steps"])
 
 
 def last_iterations(lengths: Iterable[int], iteration_steps: int) -> tuple[int, ...]:

@@ -162,7 +162,7 @@ class _Training:
     @property
     def env_steps(self) -> int:
         """Environment steps per seed so far."""
-        return self.iteration * self.config.rollout.copies * self.config.rollout.steps
+        return self.iteration * self.config.iteration_steps
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Train from the start or the newest checkpoint until the budget is used or a stop is requested."""
