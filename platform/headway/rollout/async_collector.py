@@ -7,7 +7,7 @@ from typing import Any
 from headway.contracts import HeadwayError
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row, Usage
-from headway.rollout.collector import Evaluator, InProcessEvaluator, close_all
+from headway.rollout.collector import Evaluator, SerialBackend, close_all
 from headway.rollout.plan import RolloutPlan, restart_purpose
 from headway.rollout.workers.worker import Begin, Contribute, Done, WorkerService
 from headway.rollout.workers.worker_pool import Notify, WorkerLauncher, WorkerPool, resume_command
@@ -39,9 +39,6 @@ class PoolContributors:
 
     def begin(self) -> None:
         self.pool.all([Begin(self.plan.seed_purpose)] * self.number)
-
-    def idle(self) -> list[int]:
-        return [worker for worker in range(self.number) if worker not in self.tasks]
 
     def assign(self, worker: int, task: Contribute) -> None:
         self.tasks[worker] = task
@@ -92,18 +89,13 @@ class PoolContributors:
         close_all([self.pool, self.evaluator])
 
 
-class SerialContributors:
-    """`Contributors` in the training process, one after another in a fixed order, for debugging and tests.
-
-    Evaluation is in this process too, unless `evaluator` is given.
-    """
+class SerialContributors(SerialBackend):
+    """`Contributors` in the training process, one after another in a fixed order, for debugging and tests."""
 
     in_turns = True
 
     def __init__(self, plan: RolloutPlan, evaluator: Evaluator | None = None) -> None:
-        """Raise HeadwayError if all copies exceed the environment's limit per process."""
-        plan.require_one_process()
-        self.plan, self.evaluator = plan, evaluator or InProcessEvaluator(plan)
+        super().__init__(plan, evaluator)
         self.tasks: dict[int, Contribute] = {}
         self.workers = [WorkerService(plan, shard) for shard in plan.block_shards]
         self.number = len(self.workers)
@@ -111,9 +103,6 @@ class SerialContributors:
     def begin(self) -> None:
         for worker in self.workers:
             worker.execute(Begin(self.plan.seed_purpose))
-
-    def idle(self) -> list[int]:
-        return [worker for worker in range(self.number) if worker not in self.tasks]
 
     def assign(self, worker: int, task: Contribute) -> None:
         """Store the task of an idle worker until `next_done` executes it."""
@@ -137,15 +126,6 @@ class SerialContributors:
             state = None if snapshot is None else snapshot["worker"]
             worker.execute(resume_command(state, restart_purpose(iteration)))
         self.tasks = _tasks_of(snapshots)
-
-    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
-        return self.evaluator.evaluate(root, episodes, greedy, parameters)
-
-    def process_ids(self) -> list[int]:
-        return self.evaluator.process_ids()
-
-    def usage(self) -> Usage:
-        return self.evaluator.usage()
 
     def close(self) -> None:
         close_all([*(worker.sampler.env for worker in self.workers), self.evaluator])

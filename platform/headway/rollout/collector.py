@@ -73,11 +73,7 @@ class Contributors(Backend, Protocol):
     number: int
     """Number of workers, and of contributions per iteration."""
     tasks: dict[int, Contribute]
-    """Current task by worker, in order of assignment."""
-
-    def idle(self) -> list[int]:
-        """Return the workers without a task, in order."""
-        ...
+    """Current task by worker, in order of assignment; the other workers are idle."""
 
     def assign(self, worker: int, task: Contribute) -> None:
         """Start a contribution on an idle worker."""
@@ -119,6 +115,24 @@ class InProcessEvaluator:
 
     def close(self) -> None:
         """Return: every evaluation has closed its environment."""
+
+
+class SerialBackend:
+    """What backends in the calling process share; they evaluate there too, unless `evaluator` is given."""
+
+    def __init__(self, plan: RolloutPlan, evaluator: Evaluator | None = None) -> None:
+        """Raise HeadwayError if all copies exceed the environment's limit per process."""
+        plan.require_one_process()
+        self.plan, self.evaluator = plan, evaluator or InProcessEvaluator(plan)
+
+    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
+        return self.evaluator.evaluate(root, episodes, greedy, parameters)
+
+    def process_ids(self) -> list[int]:
+        return self.evaluator.process_ids()
+
+    def usage(self) -> Usage:
+        return self.evaluator.usage()
 
 
 def concatenate_blocks(parts: Iterable[list[list[Row]]]) -> list[list[Row]]:

@@ -4,19 +4,16 @@ from typing import Any
 
 from headway.contracts import Trajectory
 from headway.contracts.acting_policy import Parameters
-from headway.events import Row, Usage
-from headway.rollout.collector import Evaluator, InProcessEvaluator, close_all, require_shards
+from headway.rollout.collector import Evaluator, SerialBackend, close_all, require_shards
 from headway.rollout.plan import RolloutPlan, restart_purpose
 from headway.rollout.sampler import Episode, Sampler, sort_episodes
 
 
-class SerialCollector:
-    """A `Collector` that samples in the calling process, and evaluates there unless `evaluator` is given."""
+class SerialCollector(SerialBackend):
+    """A `Collector` that samples in the calling process."""
 
     def __init__(self, plan: RolloutPlan, evaluator: Evaluator | None = None) -> None:
-        """Raise HeadwayError if all copies exceed the environment's limit per process."""
-        plan.require_one_process()
-        self.plan, self.evaluator = plan, evaluator or InProcessEvaluator(plan)
+        super().__init__(plan, evaluator)
         self.trajectory = Trajectory.allocate(plan.layout)
         self.sampler = Sampler(plan, plan.whole, self.trajectory)
 
@@ -35,15 +32,6 @@ class SerialCollector:
             self.sampler.begin(restart_purpose(iteration))
         else:
             self.sampler.restore(snapshots[0])
-
-    def evaluate(self, root: int, episodes: int, greedy: bool, parameters: Parameters) -> list[list[Row]]:
-        return self.evaluator.evaluate(root, episodes, greedy, parameters)
-
-    def process_ids(self) -> list[int]:
-        return self.evaluator.process_ids()
-
-    def usage(self) -> Usage:
-        return self.evaluator.usage()
 
     def close(self) -> None:
         close_all([self.sampler.env, self.evaluator])

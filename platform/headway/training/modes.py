@@ -115,9 +115,10 @@ class AsynchronousMode:
         """Apply as many contributions as there are workers; metrics are means over these contributions."""
         start, learn_s, workers = time.monotonic(), 0.0, self.contributors.number
         before = (iteration - 1) * workers
-        # Workers are idle in the first iteration, and after a resume without snapshots.
-        for worker in self.contributors.idle():
-            self._assign(worker, before)
+        # Workers have no task in the first iteration, and after a resume without snapshots.
+        for worker in range(workers):
+            if worker not in self.contributors.tasks:
+                self._assign(worker, before)
         episodes: list[Episode] = []
         staleness: list[int] = []
         metrics: list[Mapping[str, NDArray[np.float64]]] = []
@@ -140,7 +141,7 @@ class AsynchronousMode:
 
     def _assign(self, worker: int, updates: int) -> None:
         """Assign a worker the next contribution within the budget, with the parameters after `updates`."""
-        assigned = updates + self.contributors.number - len(self.contributors.idle())
+        assigned = updates + len(self.contributors.tasks)
         if assigned < self.budget:
             task = Contribute(assigned + 1, updates, self.learner.published())
             self.contributors.assign(worker, task)

@@ -224,7 +224,7 @@ def test_contributors_run_in_ray_workers_too() -> None:
     for name in ("serial", "ray"):
         with closing(open_contributors(backend_of(name), plan, print)) as contributors:
             contributors.begin()
-            for worker in contributors.idle():
+            for worker in range(contributors.number):
                 contributors.assign(worker, Contribute(1, 0, published))
             done = dict(contributors.next_done(None)[::2] for _ in range(contributors.number))
             contributions = [done[worker].contribution for worker in sorted(done)]
