@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv, EnvSpec, HeadwayError, Observations, StepResult
-from headway_envs.step_arrays import step_arrays, step_result
+from headway.contracts.environment import step_arrays, step_result
 
 Snapshot = dict[str, dict[str, NDArray[Any]]]
 """Whole state of a batch with its current observations, as checkpoints hold it: {"world" or "outputs": {name:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Box, EnvSpec, Observations, StepResult
+from headway.contracts.environment import step_arrays, step_result
 from headway_envs import platoons
 from headway_envs.intersection import kernel
 from headway_envs.intersection.config import CLEAR_S, GREEN_S, STEP_S
@@ -18,7 +19,6 @@ from headway_envs.intersection.observation import features
 from headway_envs.intersection.prepared import Prepared
 from headway_envs.intersection.sumo.bridge import Changes, SumoBridge
 from headway_envs.intersection.sumo.scenario import OPTIONS, episode_draws
-from headway_envs.step_arrays import step_arrays, step_result
 from headway_envs.sumo_env import SumoEnv
 
 _OTHER_LANES = (np.arange(NUM_LANES)[:, None] + np.arange(1, NUM_LANES)) % NUM_LANES

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import Discrete, EnvSpec, Observations, StepResult, generator
+from headway.contracts.environment import step_arrays, step_result
 from headway_envs import platoons
 from headway_envs.junctions.metrics import METRICS, EpisodeMetrics
 from headway_envs.junctions.prepared import Prepared
 from headway_envs.junctions.traffic import ACCELERATIONS, Traffic
-from headway_envs.step_arrays import step_arrays, step_result
 from headway_envs.sumo_env import SumoEnv
 from headway_envs.sumo_simulation import COMMON_OPTIONS
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headway.contracts import EnvSpec, Observations
-from headway_envs.step_arrays import step_arrays, step_result
+from headway.contracts.environment import step_arrays, step_result
 
 
 class ToyEnv(ABC):

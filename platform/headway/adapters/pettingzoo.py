@@ -32,6 +32,7 @@ from headway.contracts import (
     StepResult,
     child_seeds,
 )
+from headway.contracts.environment import step_arrays, step_result
 from headway.contracts.errors import EnvironmentRaisedError, one_line
 from headway.contracts.spaces import allows_action
 
@@ -166,31 +167,20 @@ class ParallelEnvBatch:
 
     def _allocate(self, copies: int) -> None:
         spec = self._spec
-        n, d, s = spec.num_agents, spec.observation_size, spec.state_size
         self._seeds = [0] * copies
         self._episodes = [0] * copies
         self._steps = 0
         self._live_agents: list[list[str] | None] = [None] * copies
         """Agents that the environment needs actions for; None: all, in order."""
-        self._ended = np.zeros((copies, n), dtype=np.bool_)
+        self._ended = np.zeros((copies, spec.num_agents), dtype=np.bool_)
         """Agents whose stream has ended in this episode."""
-        masks = np.ones((copies, n, _num_actions(spec)), dtype=np.bool_) if spec.has_action_mask else None
-        self._observed = Observations(
-            observations=np.zeros((copies, n, d), dtype=np.float32),
-            states=np.zeros((copies, s), dtype=np.float32),
-            alive=np.zeros((copies, n), dtype=np.bool_),
-            action_masks=masks,
-        )
-        self._outcome = StepResult(
-            rewards=np.zeros((copies, n), dtype=np.float32),
-            terminated=np.zeros((copies, n), dtype=np.bool_),
-            truncated=np.zeros((copies, n), dtype=np.bool_),
-            acting=np.zeros((copies, n), dtype=np.bool_),
-            episode_ended=np.zeros(copies, dtype=np.bool_),
-            final_observations=np.zeros((copies, n, d), dtype=np.float32),
-            final_states=np.zeros((copies, s), dtype=np.float32),
-            metrics=np.full((copies, len(spec.metrics)), np.nan),
-        )
+        masks = None
+        if spec.has_action_mask:
+            masks = np.ones((copies, spec.num_agents, _num_actions(spec)), dtype=np.bool_)
+        arrays = step_arrays(spec, copies)
+        self._observed = Observations(arrays["observations"], arrays["states"], arrays["alive"], masks)
+        self._outcome = step_result(arrays)
+        self._outcome.metrics.fill(np.nan)
 
     @property
     def spec(self) -> EnvSpec:
