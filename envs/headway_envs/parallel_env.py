@@ -62,7 +62,8 @@ class ParallelEnvBase(ParallelEnv):  # type: ignore[misc]  # pettingzoo's types 
         self._observation_space = spaces.Box(least, bound, (spec.observation_size,), np.float32)
         self._action_spaces = {agent: _action_space(spec) for agent in self.possible_agents}
         self.state_space = spaces.Box(-np.inf, np.inf, (spec.state_size,), np.float32)
-        self._actions = _no_actions(spec)
+        space = spec.action_space
+        self._actions = np.zeros((1, spec.num_agents, *space.shape), space.dtype)
         self._seed = int(np.random.SeedSequence().generate_state(1)[0])
         self._state = np.zeros(spec.state_size, dtype=np.float32)
         self._observed: Observations | None = None
@@ -175,16 +176,6 @@ def _action_space(spec: EnvSpec) -> spaces.Space[Any]:
             return spaces.MultiDiscrete(list(nvec))
         case Box(low=low, high=high):
             return spaces.Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32))
-
-
-def _no_actions(spec: EnvSpec) -> NDArray[Any]:
-    match spec.action_space:
-        case Discrete():
-            return np.zeros((1, spec.num_agents), dtype=np.int64)
-        case MultiDiscrete(nvec=nvec):
-            return np.zeros((1, spec.num_agents, len(nvec)), dtype=np.int64)
-        case Box(low=low):
-            return np.zeros((1, spec.num_agents, len(low)), dtype=np.float32)
 
 
 def from_batched(make: Callable[[Any, int], BatchedEnv], prepared: Any) -> ParallelEnvBase:  # noqa: ANN401

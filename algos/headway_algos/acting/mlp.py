@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Box, Discrete, EnvSpec, MultiDiscrete, Observations, PolicyNetwork
+from headway.contracts import Box, EnvSpec, Observations, PolicyNetwork
 from headway.contracts.acting_policy import Parameters
 from headway_algos.acting.live_agents import evaluate_live
 from headway_algos.agent_id import agent_ids, with_ids
@@ -35,13 +35,8 @@ def actor_outputs(spec: EnvSpec) -> int:
 
     Outputs are logits (Discrete), the logits of all choices (MultiDiscrete) or the mean (Box).
     """
-    match spec.action_space:
-        case Discrete(n=n):
-            return n
-        case MultiDiscrete(nvec=nvec):
-            return sum(nvec)
-        case Box(low=low):
-            return len(low)
+    space = spec.action_space
+    return space.size if isinstance(space, Box) else sum(space.options)
 
 
 @dataclass(frozen=True)
@@ -94,14 +89,9 @@ class MLPActingPolicy:
         They are uniforms (T, N) for Discrete actions, uniforms (T, N, choices) for MultiDiscrete, and
         standard normals (T, N, A) for Box.
         """
-        agents = steps, self.spec.num_agents
-        match self.spec.action_space:
-            case Discrete():
-                return generator.random(agents)
-            case MultiDiscrete(nvec=nvec):
-                return generator.random((*agents, len(nvec)))
-            case Box(low=low):
-                return generator.standard_normal((*agents, len(low)))
+        space = self.spec.action_space
+        draw = generator.standard_normal if isinstance(space, Box) else generator.random
+        return draw((steps, self.spec.num_agents, *space.shape))
 
     def act(
         self, parameters: Parameters, observed: Observations, noise: NDArray[np.float64] | None
@@ -166,7 +156,7 @@ class MLPActingPolicy:
             policies = self.grouping.policies(copies, self.replicas(parameters)).ravel()
             kernel.choose_gaussian(flat, alive, policies, parameters["log_std"], normals, actions, log_probs)
             return actions.reshape(copies, agents, size), log_probs.reshape(copies, agents)
-        options = np.array([space.n] if isinstance(space, Discrete) else space.nvec)
+        options = np.array(space.options)
         masks = np.empty((0, size), np.bool_)
         if observed.action_masks is not None:
             masks = np.ascontiguousarray(observed.action_masks).reshape(-1, size)
@@ -175,5 +165,4 @@ class MLPActingPolicy:
             uniforms = np.ascontiguousarray(noise).reshape(-1, len(options))
         chosen = np.empty((copies * agents, len(options)), np.int64)
         kernel.choose_categorical(flat, options, alive, masks, uniforms, np.empty(size), chosen, log_probs)
-        shape = observed.alive.shape if isinstance(space, Discrete) else (copies, agents, len(options))
-        return chosen.reshape(shape), log_probs.reshape(copies, agents)
+        return chosen.reshape(copies, agents, *space.shape), log_probs.reshape(copies, agents)

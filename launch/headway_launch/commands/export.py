@@ -171,8 +171,8 @@ def _random(trained: "TrainedRun") -> "Iterator[tuple[Observations, NDArray[Any]
     masks = None
     if description.has_action_mask:
         # The first option of each choice is always allowed.
-        masks = draw.random((*shape, sum(description.num_actions))) < 0.5
-        masks[..., np.cumsum((0, *description.num_actions[:-1]))] = True
+        masks = draw.random((*shape, sum(description.action_space.options))) < 0.5
+        masks[..., np.cumsum((0, *description.action_space.options[:-1]))] = True
     size = description.network.hidden_size
     state = draw.standard_normal((*shape, size)).astype(description.precision) if size else None
     alive = np.ones((_RANDOM_ROWS, agents), np.bool_)

@@ -24,10 +24,8 @@ from numpy.typing import NDArray
 
 from headway.adapters.spaces import Space, action_decoder, action_space, observation_size
 from headway.contracts import (
-    Discrete,
     EnvSpec,
     HeadwayError,
-    MultiDiscrete,
     Observations,
     StepResult,
     child_seeds,
@@ -174,10 +172,10 @@ class ParallelEnvBatch:
         """Agents that the environment needs actions for; None: all, in order."""
         self._ended = np.zeros((copies, spec.num_agents), dtype=np.bool_)
         """Agents whose stream has ended in this episode."""
-        masks = None
-        if spec.has_action_mask:
-            masks = np.ones((copies, spec.num_agents, _num_actions(spec)), dtype=np.bool_)
+        if spec.has_action_mask and not spec.action_space.options:
+            raise HeadwayError(f"environment '{spec.name}' returns action masks for Box actions; omit them")
         arrays = step_arrays(spec, copies)
+        masks = arrays["masks"] if spec.has_action_mask else None
         self._observed = Observations(arrays["observations"], arrays["states"], arrays["alive"], masks)
         self._outcome = step_result(arrays)
         self._outcome.metrics.fill(np.nan)
@@ -499,15 +497,6 @@ def _malformed(name: str, step: int, form: str, error: Exception) -> HeadwayErro
 
 def _any_info_has(infos: Infos, key: str) -> bool:
     return any(key in info for info in infos.values() if info)
-
-
-def _num_actions(spec: EnvSpec) -> int:
-    match spec.action_space:
-        case Discrete(n=n):
-            return n
-        case MultiDiscrete(nvec=nvec):
-            return sum(nvec)
-    raise HeadwayError(f"environment '{spec.name}' returns action masks for Box actions; omit them")
 
 
 def _state_size(env: ParallelEnv) -> int:

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts.spaces import ActionSpace, Box, Discrete
+from headway.contracts.spaces import ActionSpace, Box
 
 
 @dataclass(frozen=True)
@@ -208,16 +208,15 @@ class BranchingEnv(BatchedEnv, Protocol):
 
 
 def step_arrays(spec: EnvSpec, copies: int) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a batch that steps fill, by name: all zero, except that `masks` allow every action
-    of a Discrete space."""
+    """Return the arrays of a batch that steps fill, by name: all zero, except that `masks` allow every
+    action."""
     agents, space = (copies, spec.num_agents), spec.action_space
     observations, states = (*agents, spec.observation_size), (copies, spec.state_size)
-    options = space.n if isinstance(space, Discrete) else 0
     return {
         "observations": np.zeros(observations, np.float32),
         "states": np.zeros(states, np.float32),
         "alive": np.zeros(agents, np.bool_),
-        "masks": np.ones((*agents, options), np.bool_),
+        "masks": np.ones((*agents, sum(space.options)), np.bool_),
         "rewards": np.zeros(agents, np.float32),
         "acting": np.zeros(agents, np.bool_),
         "terminated": np.zeros(agents, np.bool_),

@@ -25,9 +25,8 @@ def random_actions(
         low, high = np.array(space.low), np.array(space.high)
         floor = np.where(np.isinf(low), np.where(np.isinf(high), 0.0, high) - _UNBOUNDED_WIDTH, low)
         ceiling = np.where(np.isinf(high), np.where(np.isinf(low), 0.0, low) + _UNBOUNDED_WIDTH, high)
-        return draw.uniform(floor, ceiling, (*shape, len(low))).astype(np.float32)
-    options = space.n if isinstance(space, Discrete) else sum(space.nvec)
-    score = draw.random((*shape, options))
+        return draw.uniform(floor, ceiling, (*shape, space.size)).astype(np.float32)
+    score = draw.random((*shape, sum(space.options)))
     if masks is not None:
         # Draws are at least 0, so -1 loses against every allowed action.
         score = np.where(masks, score, -1.0)

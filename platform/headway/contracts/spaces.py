@@ -1,7 +1,7 @@
 """Action spaces. All agents of an environment have the same one."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,14 @@ class Discrete:
 
     n: int
     """Number of actions, at least 1."""
+    dtype: ClassVar = np.int64
+    shape: ClassVar[tuple[int, ...]] = ()
+    """Shape of one agent's action."""
+
+    @property
+    def options(self) -> tuple[int, ...]:
+        """Number of options of each choice."""
+        return (self.n,)
 
 
 @dataclass(frozen=True)
@@ -27,6 +35,17 @@ class MultiDiscrete:
 
     nvec: tuple[int, ...]
     """Number of options per choice."""
+    dtype: ClassVar = np.int64
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of one agent's action."""
+        return (len(self.nvec),)
+
+    @property
+    def options(self) -> tuple[int, ...]:
+        """Number of options of each choice."""
+        return self.nvec
 
     def split(self, by_option: NDArray[Any]) -> list[NDArray[Any]]:
         """Split an array (..., sum of nvec), such as an action mask, into one (..., nvec[i]) per choice."""
@@ -44,6 +63,14 @@ class Box:
     """Lower bound per component; -inf: none."""
     high: tuple[float, ...]
     """Upper bound per component; inf: none."""
+    dtype: ClassVar = np.float32
+    options: ClassVar[tuple[int, ...]] = ()
+    """An action makes no choices."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of one agent's action."""
+        return (self.size,)
 
     @property
     def size(self) -> int:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from headway.contracts.environment import EnvSpec
-from headway.contracts.spaces import Box, Discrete, MultiDiscrete
 
 ArrayShapes = Mapping[str, tuple[tuple[int, ...], DTypeLike]]
 """Shape and dtype of arrays by name."""
@@ -55,19 +54,13 @@ class TrajectoryLayout:
         spec, t, c, n = self.spec, self.steps, self.copies, self.spec.num_agents
         d, s, m = spec.observation_size, spec.state_size, self.hidden_size
         recurrent = 1 if m else 0
-        match spec.action_space:
-            case Discrete(n=num_actions):
-                actions: tuple[tuple[int, ...], DTypeLike] = (t, c, n), np.int64
-            case MultiDiscrete(nvec=nvec):
-                actions, num_actions = ((t, c, n, len(nvec)), np.int64), sum(nvec)
-            case Box(low=low):
-                actions, num_actions = ((t, c, n, len(low)), np.float32), 0
+        space = spec.action_space
         return {
             "observations": ((t + 1, c, n, d), np.float32),
             "states": ((t + 1, c, s), np.float32),
             "alive": ((t + 1, c, n), np.bool_),
-            "action_masks": ((t + 1 if spec.has_action_mask else 0, c, n, num_actions), np.bool_),
-            "actions": actions,
+            "action_masks": ((t + 1 if spec.has_action_mask else 0, c, n, sum(space.options)), np.bool_),
+            "actions": ((t, c, n, *space.shape), space.dtype),
             "log_probs": ((t, c, n), np.float64),
             "rewards": ((t, c, n), np.float32),
             "terminated": ((t, c, n), np.bool_),

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import ActionSpace, Box, Discrete, MultiDiscrete, ObservationFeature, PolicyNetwork
+from headway.contracts import ActionSpace, Box, ObservationFeature, PolicyNetwork
 from headway.policies.stored_spec import features_of, space_json, space_of
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -37,16 +37,6 @@ class PolicyDescription:
     normalisation: Mapping[str, Any] = field(default_factory=dict)
     """What the network does to observations first, clip((x - mean) * scale, -clip, clip): `mean` and `scale`,
     (D,) per policy, and `clip`, as JSON values. Empty: nothing."""
-
-    @property
-    def num_actions(self) -> tuple[int, ...]:
-        """Number of options of each choice of a Discrete or MultiDiscrete action; empty for Box actions."""
-        match self.action_space:
-            case Discrete(n=n):
-                return (n,)
-            case MultiDiscrete(nvec=nvec):
-                return nvec
-        return ()
 
     @property
     def constants(self) -> dict[str, NDArray[Any]]:
@@ -108,7 +98,7 @@ class PolicyDescription:
             len(network.index_of_agent) == (agents if network.num_indices else 0),
             all(0 <= index < network.num_indices for index in network.index_of_agent),
             network.activation in ("tanh", "relu"),
-            network.output in (("logits", "values") if self.num_actions else ("mean", "tanh")),
+            network.output in (("logits", "values") if self.action_space.options else ("mean", "tanh")),
             network.hidden_layers >= 0 and network.hidden_size >= 0 and network.observation_clip >= 0,
             self.precision in ("float32", "float64"),
             len(self.observation_features) in (0, self.observation_size),

@@ -126,7 +126,7 @@ def _traced(description: PolicyDescription, arrays: Arrays) -> tuple[Any, dict[s
     network, agents = description.network, len(description.agents)
     inputs = {"observations": torch.zeros(2, agents, description.observation_size)}
     if description.has_action_mask:
-        inputs["masks"] = torch.ones(2, agents, sum(description.num_actions), dtype=torch.bool)
+        inputs["masks"] = torch.ones(2, agents, sum(description.action_space.options), dtype=torch.bool)
     dtype = getattr(torch, description.precision)
     if network.hidden_size:
         inputs["state"] = torch.zeros(2, agents, network.hidden_size, dtype=dtype)
@@ -193,7 +193,7 @@ def read_policy(path: Path) -> Policy:
         raise HeadwayError(f"there is no file {path}")
     try:
         policy = readers[path.suffix](path)
-        agents, options = len(policy.agents), sum(policy.description.num_actions)
+        agents, options = len(policy.agents), sum(policy.description.action_space.options)
         masks = np.ones((agents, options), np.bool_) if policy.description.has_action_mask else None
         policy.act(np.zeros((agents, policy.observation_size)), masks)
     except HeadwayError:

@@ -74,7 +74,7 @@ def evaluate(
         x = candidate + update * (h - candidate)
         state = x.swapaxes(0, 1)
     outputs = layer(f"weight_{network.hidden_layers}", f"bias_{network.hidden_layers}", x).swapaxes(0, 1)
-    if description.num_actions:
+    if description.action_space.options:
         return Evaluation(greedy_actions(xp, description, outputs, masks), outputs, state)
     chosen = xp.tanh(outputs) if network.output == "tanh" else outputs
     actions = in_environment_units(xp, arrays, chosen)
@@ -100,7 +100,7 @@ def greedy_actions(
     xp = library
     allowed = outputs if masks is None else xp.where(masks, outputs, -float("inf"))
     best, first = [], 0
-    for count in description.num_actions:
+    for count in description.action_space.options:
         best.append(allowed[..., first : first + count].argmax(-1))
         first += count
     return best[0] if isinstance(description.action_space, Discrete) else xp.stack(best, -1)

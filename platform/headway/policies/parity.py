@@ -52,7 +52,7 @@ def require_parity(
     chosen = evaluation.actions.reshape(*alive.shape, -1)[alive]
     expected = actions.reshape(*alive.shape, -1)[alive]
     first = 0
-    for choice, count in enumerate(description.num_actions):
+    for choice, count in enumerate(description.action_space.options):
         values = outputs[alive][:, first : first + count]
         _require_close(
             "values of the greedy actions", *(_of(values, a[:, choice]) for a in (chosen, expected))

@@ -154,7 +154,7 @@ class Policy:
 
     @property
     def _num_options(self) -> int:
-        return sum(self.description.num_actions)
+        return sum(self.description.action_space.options)
 
     def _rows(self, name: str, given: Mapping[str, ArrayLike], rows: Array) -> Array:
         """Write one row per agent into `rows` (N, ...) and return it."""

@@ -38,23 +38,22 @@ class CheckedRule:
 
 def _problem(actions: NDArray[Any], space: ActionSpace, alive: NDArray[np.bool_]) -> str | None:
     """Return what is wrong with the actions of agents (C, N); None if nothing is."""
-    numbers: tuple[int, ...]
     match space:
         case Box():
-            numbers, kinds, name = (space.size,), "iuf", "a Box has finite numbers"
+            kinds, name = "iuf", "a Box has finite numbers"
         case Discrete(n=n):
-            numbers, kinds, name = (), "biu", f"Discrete({n}) has 0 to {n - 1}"
+            kinds, name = "biu", f"Discrete({n}) has 0 to {n - 1}"
         case MultiDiscrete(nvec=nvec):
-            numbers, kinds, name = (len(nvec),), "biu", f"MultiDiscrete{nvec} counts from 0"
-    if actions.shape != (shape := (*alive.shape, *numbers)):
+            kinds, name = "biu", f"MultiDiscrete{nvec} counts from 0"
+    if actions.shape != (shape := (*alive.shape, *space.shape)):
         return f"actions of shape {actions.shape}, not {shape}"
     if actions.dtype.kind not in kinds:
         return f"actions of type {actions.dtype}; {name}"
     if isinstance(space, Box):
         wrong = ~np.isfinite(actions)
     else:
-        wrong = (actions < 0) | (actions >= (space.n if isinstance(space, Discrete) else space.nvec))
+        wrong = (actions < 0) | (actions >= space.options)
     if not wrong.any():
         return None
-    wrong &= alive.reshape(*alive.shape, *[1] * len(numbers))
+    wrong &= alive.reshape(*alive.shape, *[1] * len(space.shape))
     return f"action {actions[wrong][0]}; {name}" if wrong.any() else None
