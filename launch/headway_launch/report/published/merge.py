@@ -1,6 +1,7 @@
 """Comparison with the published merging study: which algorithms scale from one ramp lane to two."""
 
 import math
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -52,7 +53,7 @@ def merge_section(data: StudyData) -> Section | None:
         "lanes, MAACKTR gets worse, MADQN learns on neither.",
         _comparison(data, tasks),
     ]
-    pairs = _pairs(data, tasks)
+    pairs = _pairs(data)
     for place, (one, two) in enumerate(pairs):
         body += _scaling(data, one, two, f"_{place + 1}" if len(pairs) > 1 else "")
     if not pairs:
@@ -92,15 +93,10 @@ def _comparison(data: StudyData, tasks: list[str]) -> Table:
     )
 
 
-def _pairs(data: StudyData, tasks: list[str]) -> list[tuple[str, str]]:
+def _pairs(data: StudyData) -> list[tuple[str, str]]:
     """Return pairs of tasks that differ only in the number of ramp lanes."""
-
-    def traffic(task: str) -> dict[str, Any]:
-        found: dict[str, Any] = env_of(data, task)["args"]
-        return found
-
-    of = {environment: tasks_of(data, environment) for environment in (ONE_LANE, TWO_LANES)}
-    return [(one, two) for one in of[ONE_LANE] for two in of[TWO_LANES] if traffic(one) == traffic(two)]
+    pairs = product(tasks_of(data, ONE_LANE), tasks_of(data, TWO_LANES))
+    return [(one, two) for one, two in pairs if env_of(data, one)["args"] == env_of(data, two)["args"]]
 
 
 def _scaling(data: StudyData, one: str, two: str, number: str) -> list[Part]:
