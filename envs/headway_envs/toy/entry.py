@@ -1,8 +1,10 @@
 """Registry entries of the toy environments."""
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
-from headway.contracts import RANDOM, EnvEntry, Lazy, RuleEntry
+from headway.contracts import RANDOM, EnvEntry, Lazy, Rule, RuleEntry
 from headway_envs.toy.matrix import Matrix, MatrixConfig, OptimalMatrix
 from headway_envs.toy.recall import OptimalRecall, Recall, RecallConfig
 from headway_envs.toy.tracking import OptimalTracking, Tracking, TrackingConfig
@@ -12,16 +14,18 @@ from headway_envs.toy.visitors import OptimalVisitors, Visitors, VisitorsConfig
 FROM_BATCHED = Lazy("headway_envs.parallel_env:from_batched")
 
 
+def _rules(how: str, optimal: Callable[[Any], Rule]) -> dict[str, RuleEntry]:
+    """Return the rules `random` and `optimal`, the latter with its one-line description."""
+    return {"random": RANDOM, "optimal": RuleEntry(how, optimal)}
+
+
 ENTRIES: dict[str, EnvEntry] = {
     "trivial": EnvEntry(
         summary="toy: ten agents name the largest of three numbers; measures the cost of everything else",
         config=TrivialConfig,
         make=Trivial,
         parallel_env=Lazy("headway_envs.toy.trivial_parallel:TrivialParallel"),
-        rules={
-            "random": RANDOM,
-            "optimal": RuleEntry("names the largest number at every step: returns `steps`", OptimalTrivial),
-        },
+        rules=_rules("names the largest number at every step: returns `steps`", OptimalTrivial),
         metrics={"accuracy": "share of right actions, over steps and agents"},
     ),
     "matrix": EnvEntry(
@@ -29,10 +33,7 @@ ENTRIES: dict[str, EnvEntry] = {
         config=MatrixConfig,
         make=Matrix,
         parallel_env=partial(FROM_BATCHED, Matrix),
-        rules={
-            "random": RANDOM,
-            "optimal": RuleEntry("both agents play their part of the largest payoff", OptimalMatrix),
-        },
+        rules=_rules("both agents play their part of the largest payoff", OptimalMatrix),
         metrics={"optimal": "1 if the largest payoff was played, else 0"},
     ),
     "tracking": EnvEntry(
@@ -40,13 +41,9 @@ ENTRIES: dict[str, EnvEntry] = {
         config=TrackingConfig,
         make=Tracking,
         parallel_env=partial(FROM_BATCHED, Tracking),
-        rules={
-            "random": RANDOM,
-            "optimal": RuleEntry(
-                "finite-horizon linear-quadratic regulator (Bertsekas, vol. 1, section 3.1)",
-                OptimalTracking,
-            ),
-        },
+        rules=_rules(
+            "finite-horizon linear-quadratic regulator (Bertsekas, vol. 1, section 3.1)", OptimalTracking
+        ),
         metrics={
             "distance": "squared distance to the target, mean over steps and agents",
             "effort": "squared length of the clipped actions, mean over steps and agents",
@@ -57,13 +54,7 @@ ENTRIES: dict[str, EnvEntry] = {
         config=RecallConfig,
         make=Recall,
         parallel_env=partial(FROM_BATCHED, Recall),
-        rules={
-            "random": RANDOM,
-            "optimal": RuleEntry(
-                "names the cue at every step, read from the environment: returns 1",
-                OptimalRecall,
-            ),
-        },
+        rules=_rules("names the cue at every step, read from the environment: returns 1", OptimalRecall),
         metrics={"recalled": "share of agents that named their cue"},
     ),
     "visitors": EnvEntry(
@@ -71,10 +62,7 @@ ENTRIES: dict[str, EnvEntry] = {
         config=VisitorsConfig,
         make=Visitors,
         parallel_env=partial(FROM_BATCHED, Visitors),
-        rules={
-            "random": RANDOM,
-            "optimal": RuleEntry("takes the best allowed option: regret 0", OptimalVisitors),
-        },
+        rules=_rules("takes the best allowed option: regret 0", OptimalVisitors),
         metrics={
             "regret": "value of the best allowed option minus the reward, summed over all choices",
             "disallowed": "number of choices of an option that was not allowed",
