@@ -153,6 +153,8 @@ def _network(trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame) -> dict[str
     legs = np.maximum(np.round(np.diff(calls.along[rows], prepend=0.0)), 1.0)
     pairs = np.column_stack((np.roll(stop, 1), stop))[inner]
     links, first, link = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    links_in = np.full(len(seq0), NO_LINK, np.int64)
+    links_in[inner] = link.ravel()
     owners = trips.iloc[calls.trip[begins[example]]]
     return {
         "stops": stops.iloc[used].reset_index(drop=True).assign(stop=np.arange(len(used))),
@@ -170,7 +172,7 @@ def _network(trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame) -> dict[str
                 "pattern": np.repeat(np.arange(len(example)), counts),
                 "seq0": seq0,
                 "stop": stop,
-                "link": _filled(len(seq0), inner, link.ravel(), NO_LINK),
+                "link": links_in,
                 "leg_m": np.where(inner, legs, 0.0),
             }
         ),
@@ -183,13 +185,6 @@ def _network(trips: pd.DataFrame, calls: Calls, stops: pd.DataFrame) -> dict[str
             }
         ),
     }
-
-
-def _filled(count: int, where: NDArray[np.bool_], values: Integers, other: int) -> Integers:
-    """Return `values` where `where`, else `other`."""
-    filled = np.full(count, other, np.int64)
-    filled[where] = values
-    return filled
 
 
 def _day_trips(
