@@ -36,7 +36,7 @@ def environment_name(env_id: str) -> str:
     return env_id.rpartition("/")[2] if env_id.endswith(".py") else env_id
 
 
-def readable_metric(metric: str, description: str = "") -> str:
+def readable_metric(metric: str, description: str) -> str:
     """Return a metric's name in words, with its unit if it has one: `mean wait, min` for `mean_wait_min`.
 
     The unit stands in the description after its last comma, up to a semicolon.

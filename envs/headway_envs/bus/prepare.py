@@ -56,17 +56,15 @@ def foreseeing_upkeep(prepared: Prepared) -> Prepared:
     return replace(prepared, config=replace(prepared.config, reward=reward))
 
 
-def prepare_replay(config: BusConfig, tables: Tables | None = None) -> Prepared:
+def prepare_replay(config: BusConfig, tables: Tables) -> Prepared:
     """Prepare a replay for comparison with measurements: every trip leaves at its observed departure time.
 
     Observed departures already contain the delays of earlier trips and the effect of breakdowns, so nothing
     is added to them (`REPLAY_FIXED`): no decision before departure, no dispatch noise, no breakdowns and
     unlimited fuel. Each slot recovers for three times a trip's duration before its next trip, so that no late
-    arrival delays a departure; there are therefore more slots than buses in the data. `tables`: the scenario,
-    if already read. Raises HeadwayError for an unusable scenario.
+    arrival delays a departure; there are therefore more slots than buses in the data. Raises HeadwayError for
+    an unusable scenario.
     """
-    if tables is None:
-        tables = scenario_tables(config.scenario, config.scenario_seed)
     config = replace(
         config,
         dispatch_window_s=REPLAY_FIXED["dispatch_window_s"],

@@ -313,7 +313,7 @@ def store_share(recorders: Sequence[JobRecorder], own_cpu_s: float) -> str:
     )
 
 
-def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool = False) -> tuple[int, list[Path]]:
+def run_sessions(cells: Sequence[CellPlan], debug: bool, plan_kept: bool) -> tuple[int, list[Path]]:
     """Run cells in groups of equal session settings, one group after another.
 
     Returns the worst exit code and the folders of runs that are left to other sessions.

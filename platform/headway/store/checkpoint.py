@@ -67,7 +67,7 @@ def write_checkpoint(
     return path
 
 
-def remove_replay(directory: Path, gate: Path | None = None) -> None:
+def remove_replay(directory: Path, gate: Path | None) -> None:
     """Delete all stored replay data of a finished run. Raises HeadwayError if the gate has been closed."""
     for _, path in _files(directory, "experience"):
         discard(path, gate)

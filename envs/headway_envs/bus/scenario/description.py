@@ -102,7 +102,7 @@ def clock(hours: float) -> str:
     return f"{minutes // 60:02d}:{minutes % 60:02d}"
 
 
-def by_day_type(tables: Tables, after_day: Callable[[], None] = lambda: None) -> list[DayStatistics]:
+def by_day_type(tables: Tables, after_day: Callable[[], None]) -> list[DayStatistics]:
     """Return the statistics of each day type that has trips; takes seconds per day type for a city.
 
     `after_day` is called after each of `DAY_TYPES`.

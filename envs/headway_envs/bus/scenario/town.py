@@ -54,7 +54,7 @@ _ALLOWANCE = 1.05
 include."""
 
 
-def generate_town(size: str, seed: int, after_line: Callable[[], None] = lambda: None) -> Tables:
+def generate_town(size: str, seed: int, after_line: Callable[[], None]) -> Tables:
     """Return the tables of `district` or `city`.
 
     The fleets of the lines are the same for all seeds. `after_line` is called once per line.

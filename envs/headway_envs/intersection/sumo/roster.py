@@ -1,6 +1,6 @@
 """Vehicles on the road, and the slots of automated vehicles."""
 
-from collections.abc import Iterable
+from collections.abc import Container
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +34,8 @@ class Roster:
         self.holder = [None] * len(self.holder)
         self._list_automated()
 
-    def free_slot(self, kept: Iterable[int] = ()) -> int:
+    def free_slot(self, kept: Container[int]) -> int:
         """Return the lowest free slot that is not in `kept`; -1: none."""
-        kept = set(kept)
         for slot, holder in enumerate(self.holder):
             if holder is None and slot not in kept:
                 return slot
