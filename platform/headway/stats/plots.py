@@ -4,21 +4,28 @@ Nothing is displayed or registered globally, so the plots work alike in a comman
 controller has the same colour in all plots that get the same `styles` from `colours`.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import count, pairwise
-from textwrap import wrap
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from headway.contracts.errors import HeadwayError
+from headway.stats.plot_labels import (
+    NAME_LENGTH,
+    label_ends,
+    label_height,
+    label_rows,
+    legends_beside,
+    rows_height,
+    wrapped_name,
+)
 from headway.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
     from numpy.typing import NDArray
 
     from headway.stats.best_of import BestOf
@@ -44,14 +51,6 @@ _THOUSANDS = "{x:,.10g}"
 _PARTS = {"cpu_kwh": "CPU", "gpu_kwh": "GPU", "ram_kwh": "RAM"}
 _PART_COLOURS = {"cpu_kwh": "#4477AA", "gpu_kwh": "#CCBB44", "ram_kwh": "#AAAAAA"}
 _WIDTH = 9.0
-_PANEL_WIDTH = 5.5
-"""Minimum width in inches of a panel next to a legend."""
-_AROUND_PANEL = 1.0
-"""Height in inches of title, tick labels and label of a panel, at most."""
-_LINE_HEIGHT = 0.17
-"""Height in inches of a line of text next to an axis."""
-_NAME_LENGTH = 44
-"""Characters per line of a controller's name, which includes its settings."""
 _DOTS_PER_INCH = 150
 _SHADE, _SHADES = 0.18, 1.1
 """Opacity of one interval's band, and the sum over all bands of a panel."""
@@ -160,7 +159,7 @@ def learning_curves(
             axes.set_title(task, loc="left", fontsize="medium")
     if title:
         figure.suptitle(title)
-    _label_ends(figure, list(panels))
+    label_ends(figure, list(panels))
     return figure
 
 
@@ -178,7 +177,7 @@ def _shade_rule_phases(axes: "Axes", phases: Mapping[str, tuple[str, int]], curv
         whose = (
             "" if len(names) == curves else f" ({names[0]})" if len(names) == 1 else f" ({len(names)} curves)"
         )
-        text = _wrapped(f"rule {rule} acts until here{whose}")
+        text = wrapped_name(f"rule {rule} acts until here{whose}")
         axes.axvspan(0, steps, color="0.5", alpha=0.12, linewidth=0, zorder=0)
         axes.annotate(
             text,
@@ -353,10 +352,10 @@ def intervals(
     ends = summary[["iqm", "iqm_low", "iqm_high"]].to_numpy()
     excluded = outliers(dict(zip(names, ends, strict=True)), sign)
     beside = [
-        _wrapped(name) + (f"\n(off scale: {_four_digits(float(own[0]))})" if name in excluded else "")
+        wrapped_name(name) + (f"\n(off scale: {_four_digits(float(own[0]))})" if name in excluded else "")
         for name, own in zip(names, ends, strict=True)
     ]
-    figure = _figure(0.9 + _rows_height(beside) + 0.2 * len(rules))
+    figure = _figure(0.9 + rows_height(beside) + 0.2 * len(rules))
     axes = figure.subplots()
     for place, name in enumerate(names):
         row, colour = summary.loc[name], styles[name]["color"]
@@ -369,11 +368,11 @@ def intervals(
     plot_rules(axes, rules, upright=True, styles=styles, sign=sign)
     axes.use_sticky_edges = False  # otherwise the margins would not apply to the bars
     axes.margins(x=0.05)
-    _label_rows(axes, beside)
+    label_rows(axes, beside)
     _style_axes(axes, label, "")
     axes.xaxis.set_major_formatter(_THOUSANDS)
     if rules:
-        _legends_beside(figure, [axes])
+        legends_beside(figure, [axes])
     return figure
 
 
@@ -390,7 +389,7 @@ def performance_profiles(
         axes.fill_between(points, *ends, step="post", color=styles[name]["color"], alpha=0.15, linewidth=0)
     axes.set_ylim(-0.02, 1.02)
     _style_axes(axes, f"{label} above", "share of runs")
-    _legends_beside(figure, [axes])
+    legends_beside(figure, [axes])
     return figure
 
 
@@ -400,10 +399,10 @@ def rank_diagram(average_ranks: Mapping[str, float], groups: Sequence[tuple[int,
     `groups`: first and last place in that order of the controllers that a bar joins. The better half of the
     names is at the left of the axis of ranks, the others at the right.
     """
-    names, places = list(average_ranks), list(average_ranks.values())
-    count, left = len(names), (len(names) + 1) // 2
-    wrapped = [_wrapped(f"{name} ({_four_digits(rank)})") for name, rank in average_ranks.items()]
-    row = 0.1 + max(_label_height(name) for name in wrapped)
+    places = list(average_ranks.values())
+    count, left = len(places), (len(places) + 1) // 2
+    labels = [wrapped_name(f"{name} ({_four_digits(rank)})") for name, rank in average_ranks.items()]
+    row = 0.1 + max(label_height(label) for label in labels)
     bars = 0.12 * (len(groups) + 1)
     figure = _figure(0.6 + bars + row * left)
     axes = figure.subplots()
@@ -417,13 +416,13 @@ def rank_diagram(average_ranks: Mapping[str, float], groups: Sequence[tuple[int,
     axes.set_yticks([])
     for side in ("left", "right", "bottom"):
         axes.spines[side].set_visible(False)
-    for place, (name, rank) in enumerate(zip(wrapped, places, strict=True)):
+    for place, (label, rank) in enumerate(zip(labels, places, strict=True)):
         is_left = place < left
         depth = bars + row * (0.5 + (place if is_left else count - 1 - place))
         edge = 1 - margin if is_left else count + margin
         axes.plot([rank, rank, edge], [0, depth, depth], color="0.3", linewidth=0.9)
         axes.annotate(
-            name,
+            label,
             xy=(edge, depth),
             xytext=(-4 if is_left else 4, 0),
             textcoords="offset points",
@@ -461,7 +460,7 @@ def best_of_n(
     _style_axes(axes, "candidates n", label)
     axes.yaxis.set_major_formatter(_THOUSANDS)
     figure.suptitle(title)
-    _legends_beside(figure, [axes])
+    legends_beside(figure, [axes])
     return figure
 
 
@@ -472,8 +471,8 @@ def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) ->
     `kg_co2`, `kwh`, `cpu_kwh`, `gpu_kwh`, `ram_kwh`, `cpu_seconds`, `kg_co2_std`, `kwh_std` and
     `cpu_seconds_std`. `units` gives (unit, factor) of `kwh` and, if it is known, of `kg_co2`.
     """
-    places, names = np.arange(len(energy)), [_wrapped(str(name)) for name in energy.index]
-    figure = _figure(1.4 + _rows_height(names))
+    places, names = np.arange(len(energy)), [wrapped_name(str(name)) for name in energy.index]
+    figure = _figure(1.4 + rows_height(names))
     panels = list(figure.subplots(1, 3 if "kg_co2" in units else 2, sharey=True))
     middle, right = panels[-2:]
     errors: dict[str, Any] = {"capsize": 3, "ecolor": "0.25", "height": 0.6}
@@ -495,7 +494,7 @@ def footprint(energy: "pd.DataFrame", units: Mapping[str, tuple[str, float]]) ->
     right.barh(
         places, energy["cpu_seconds"], xerr=energy["cpu_seconds_std"].fillna(0), color="#66CCEE", **errors
     )
-    _label_rows(panels[0], names)
+    label_rows(panels[0], names)
     for axes, letter, label in zip(panels, "abc", labels, strict=False):
         _style_axes(axes, f"({letter}) {label}", "")
         axes.set_xlim(left=0)
@@ -542,7 +541,7 @@ def reward_against_cost(
         axes.set_xlim(middle - half, middle + half)
         _style_axes(axes, *labels)
         axes.yaxis.set_major_formatter(_THOUSANDS)
-    _legends_beside(figure, panels)
+    legends_beside(figure, panels)
     return figure
 
 
@@ -555,11 +554,11 @@ def reward_components(components: "pd.DataFrame") -> "Figure":
     nothing = components.round(12).eq(0).all()  # sums of rewards may leave 1e-17
     if not nothing.all():
         components = components.loc[:, ~nothing]
-    names, places = [_wrapped(str(name)) for name in components.index], np.arange(len(components))
+    names, places = [wrapped_name(str(name)) for name in components.index], np.arange(len(components))
     longest = max(len(line) for name in names for line in name.split("\n"))
-    across = min(len(components.columns), 2 if longest > _NAME_LENGTH // 2 else 3)
+    across = min(len(components.columns), 2 if longest > NAME_LENGTH // 2 else 3)
     down = -(-len(components.columns) // across)
-    figure = _figure(down * (1.0 + _rows_height(names)))
+    figure = _figure(down * (1.0 + rows_height(names)))
     panels = figure.subplots(down, across, sharey=True, squeeze=False).ravel()
     for axes, name in zip(panels, components.columns, strict=False):
         axes.barh(places, components[name], height=0.6, color="#4477AA")
@@ -569,127 +568,8 @@ def reward_components(components: "pd.DataFrame") -> "Figure":
         _style_axes(axes, str(name), "")
     for spare in panels[len(components.columns) :]:
         spare.remove()
-    _label_rows(panels[0], names)
+    label_rows(panels[0], names)
     return figure
-
-
-def _legends_beside(figure: "Figure", panels: Iterable["Axes"]) -> None:
-    """Put a legend to the right of each panel and enlarge the figure until all names fit."""
-    legends = []
-    for axes in panels:
-        handles, names = axes.get_legend_handles_labels()
-        legends.append(
-            axes.legend(
-                handles,
-                [_wrapped(name) for name in names],
-                fontsize="small",
-                loc="center left",
-                bbox_to_anchor=(1.01, 0.5),
-                frameon=False,
-            )
-        )
-    extents = [legend.get_window_extent() for legend in legends]
-    width, height = figure.get_size_inches()
-    widest = max(extent.width for extent in extents) / figure.dpi
-    highest = max(extent.height for extent in extents) / figure.dpi
-    figure.set_size_inches(max(width, _PANEL_WIDTH + widest), max(height, len(legends) * (highest + 0.4)))
-
-
-def _label_ends(figure: "Figure", panels: Sequence["Axes"]) -> None:
-    """Label the lines of panels, one above the other, beside their right ends; enlarge the figure to fit.
-
-    Lines without points come last.
-    """
-    from matplotlib.text import Text  # an annotation's own extent includes its line
-
-    width, height = figure.get_size_inches()
-    widest, highest = 0.0, height / len(panels) - _AROUND_PANEL
-    for axes in panels:
-        names = [_wrapped(str(line.get_label())) for line in _named_lines(axes)]
-        highest = max(highest, sum(map(_label_height, names)))
-    for axes in panels:
-        lines, (bottom, top) = _named_lines(axes), axes.get_ylim()
-        names = [_wrapped(str(line.get_label())) for line in lines]
-        ends = [_right_end(axes, line) for line in lines]
-        wanted = [min(max((y - bottom) / (top - bottom), 0.0), 1.0) for _, y in ends]
-        places = _apart(wanted, [_label_height(name) / highest for name in names])
-        for line, name, end, place in zip(lines, names, ends, places, strict=True):
-            is_shown, colour = bottom <= end[1] <= top, line.get_color()
-            connection = {"arrowstyle": "-", "relpos": (0.0, 0.5), "color": colour, "linewidth": 0.6}
-            label = axes.annotate(
-                name,
-                xy=end if is_shown else (1.0, place),
-                xycoords="data" if is_shown else "axes fraction",
-                xytext=(1.06, place),
-                textcoords="axes fraction",
-                fontsize="small",
-                verticalalignment="center",
-                color=colour,
-                arrowprops={**connection, "shrinkA": 1, "shrinkB": 0} if is_shown else None,
-                annotation_clip=False,
-            )
-            widest = max(widest, Text.get_window_extent(label).width / figure.dpi)
-    figure.set_size_inches(
-        max(width, _PANEL_WIDTH + widest), max(height, len(panels) * (highest + _AROUND_PANEL))
-    )
-
-
-def _named_lines(axes: "Axes") -> list["Line2D"]:
-    """Return the lines with names, from the one that ends highest to those without points."""
-    lines = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
-    return sorted(lines, key=lambda line: -_right_end(axes, line)[1])
-
-
-def _right_end(axes: "Axes", line: "Line2D") -> tuple[float, float]:
-    """Return a line's last point; for a horizontal line across the axes, the point at their right edge."""
-    across, up = np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
-    known = np.flatnonzero(np.isfinite(up))
-    if not len(known):
-        return np.inf, -np.inf
-    is_rule = line.get_transform() == axes.get_yaxis_transform(which="grid")
-    return axes.get_xlim()[1] if is_rule else float(across[known[-1]]), float(up[known[-1]])
-
-
-def _apart(wanted: Sequence[float], heights: Sequence[float]) -> list[float]:
-    """Return the middles of labels, between 0 and 1 and as near as possible to `wanted`, such that none
-    overlap.
-
-    `wanted` descends. Isotonic regression by pooling adjacent violators.
-    """
-    if not wanted:
-        return []
-    offsets = np.cumsum([0.0, *(0.5 * (one + next_one) for one, next_one in pairwise(heights))])
-    pools: list[tuple[float, int]] = []
-    for value in np.add(wanted, offsets):
-        mean, size = float(value), 1
-        while pools and pools[-1][0] < mean:
-            before, of_before = pools.pop()
-            mean, size = (mean * size + before * of_before) / (size + of_before), size + of_before
-        pools.append((mean, size))
-    places = np.repeat([mean for mean, _ in pools], [size for _, size in pools])
-    places = np.clip(places, offsets[-1] + heights[-1] / 2, 1 - heights[0] / 2) - offsets
-    return [float(place) for place in places]
-
-
-def _label_height(name: str) -> float:
-    """Return the height in inches of a label beside a line."""
-    return 0.02 + _LINE_HEIGHT * (1 + name.count("\n"))
-
-
-def _wrapped(name: str) -> str:
-    """Break a name into lines of at most `_NAME_LENGTH` characters."""
-    return "\n".join(wrap(name, _NAME_LENGTH))
-
-
-def _label_rows(axes: "Axes", names: Sequence[str]) -> None:
-    """Label the rows of a vertical axis from the top; names may have several lines."""
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(len(names) - 0.5, -0.5)
-
-
-def _rows_height(names: Iterable[str]) -> float:
-    """Return the height in inches of rows with these names."""
-    return sum(max(0.36, 0.08 + _LINE_HEIGHT * (1 + name.count("\n"))) for name in names)
 
 
 def _format_steps(axes: "Axes") -> None:
