@@ -4,6 +4,7 @@ import argparse
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from headway.config.experiment import RolloutConfig
 from headway.config.schema import FieldDescription, describe, nearest, suggestion
@@ -91,7 +92,7 @@ def _list_envs(name: str | None) -> None:
             "(env=./shuttle.py) or id (env=pettingzoo:sisl/pursuit-v5)"
         )
     elif name in _file_only_envs():
-        _list_group("env")(name)
+        _list_group("env", name)
     elif keys := describe(env_entry(_require_env(name)).config, "env.args"):
         _print_descriptions(keys)
     else:
@@ -270,17 +271,14 @@ def _list_schema(kind: str | None) -> None:
     print(json.dumps(file_schema(chosen), indent=1, allow_nan=False))
 
 
-def _list_group(group: str) -> Callable[[str | None], None]:
-    def show(name: str | None) -> None:
-        names = options()[group]
-        if name is None:
-            print_table((group, "description"), [(option, summary_of(group, option)) for option in names])
-        elif name in names:
-            print(config_file(group, name).read_text(encoding="utf-8"), end="")
-        else:
-            raise HeadwayError(f"unknown {group} {name!r}; {suggestion(name, names)}")
-
-    return show
+def _list_group(group: str, name: str | None) -> None:
+    names = options()[group]
+    if name is None:
+        print_table((group, "description"), [(option, summary_of(group, option)) for option in names])
+    elif name in names:
+        print(config_file(group, name).read_text(encoding="utf-8"), end="")
+    else:
+        raise HeadwayError(f"unknown {group} {name!r}; {suggestion(name, names)}")
 
 
 def _print_descriptions(keys: Iterable[FieldDescription]) -> None:
@@ -303,10 +301,10 @@ KINDS: Mapping[str, tuple[str, Callable[..., None]]] = {
         "numbers of an environment's observation, with units and scales; needs a NAME",
         _list_observations,
     ),
-    "experiments": ("experiments for `headway run experiment=NAME`", _list_group("experiment")),
-    "presets": ("hyper-parameter presets for preset=NAME", _list_group("preset")),
-    "searches": ("hyper-parameter searches for `headway search NAME`", _list_group("search")),
-    "spaces": ("pieces of search spaces, for files in configs/search", _list_group("space")),
+    "experiments": ("experiments for `headway run experiment=NAME`", partial(_list_group, "experiment")),
+    "presets": ("hyper-parameter presets for preset=NAME", partial(_list_group, "preset")),
+    "searches": ("hyper-parameter searches for `headway search NAME`", partial(_list_group, "search")),
+    "spaces": ("pieces of search spaces, for files in configs/search", partial(_list_group, "space")),
     "keys": ("keys of an experiment, or those with a word in their names", _list_keys),
     "schema": ("JSON Schema of experiments' or other files, for editors", _list_schema),
 }
