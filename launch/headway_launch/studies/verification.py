@@ -110,17 +110,17 @@ class Verification:
             raise HeadwayError(f"{run_id} could not be trained again: see above; --debug shows the traceback")
         rows = runner.selection().rows
         [again] = [Path(row.directory) for row in rows if row.seed == run.record.seed]
-        found = _compared(run.directory, again, planned.iterations)
-        if found.first is None:
-            return Verdict(run_id, steps, found.values, True, "equal bit for bit")
-        difference = f"differs {found.first}"
+        values, first = _compared(run.directory, again, planned.iterations)
+        if first is None:
+            return Verdict(run_id, steps, values, True, "equal bit for bit")
+        difference = f"differs {first}"
         revisions = [tags.get("git.revision", "unknown")[:12] for tags in (run.record.tags, self._tags)]
         if revisions[0] != revisions[1]:  # which says nothing of an installed package, so it is no reason
             difference = f"{difference}; git.revision {revisions[0]} there, {revisions[1]} here"
         if not reasons:
-            return Verdict(run_id, steps, found.values, False, difference)
+            return Verdict(run_id, steps, values, False, difference)
         equal, result = _within_spread(run.directory, again, planned.seeds, planned.metric, steps)
-        return Verdict(run_id, steps, found.values, equal, f"{result}; {difference}")
+        return Verdict(run_id, steps, values, equal, f"{result}; {difference}")
 
     def _job(self, run: StoredRun) -> PlannedJob:
         """Return the job that trains a run again, alone unless its results may depend on its stack."""
@@ -241,18 +241,11 @@ def _reasons(run: StoredRun) -> Iterator[str]:
         yield "it may have been trained on a GPU"
 
 
-@dataclass(frozen=True)
-class _Comparison:
-    values: int
-    """Values that were compared."""
-    first: str | None
-    """The first difference, in words; None if there is none."""
-
-
-def _compared(archived: Path, again: Path, last: int) -> _Comparison:
+def _compared(archived: Path, again: Path, last: int) -> tuple[int, str | None]:
     """Compare all tables up to iteration `last`, bit for bit and without clocks.
 
-    Columns that only the new run has are not compared.
+    Returns how many values were compared, and the first difference in words, None if there is none. Columns
+    that only the new run has are not compared.
     """
     values, found = 0, []
     for table in TABLES:
@@ -270,7 +263,7 @@ def _compared(archived: Path, again: Path, last: int) -> _Comparison:
                 text = f"{table} {name} {other.get(name)}, archived {row[name]}"
                 found.append((int(row["iteration"]), f"from step {int(row['env_steps']):,} on: {text}"))
                 break
-    return _Comparison(values, min(found)[1] if found else None)
+    return values, min(found)[1] if found else None
 
 
 def _exact(row: Row) -> dict[str, str]:

@@ -41,14 +41,15 @@ def test_runs_are_drawn_by_a_hash_that_anyone_can_compute() -> None:
 def test_the_first_difference_is_found_in_the_last_bit(tmp_path: Path) -> None:
     values = [1.0, 2.0, 0.1, 4.0]
     archived = keep(tmp_path / "a", values)
-    assert _compared(archived, keep(tmp_path / "b", values), 4).first is None
+    assert _compared(archived, keep(tmp_path / "b", values), 4) == (4 * (4 + 5), None)
     values[2] = float(np.nextafter(0.1, 1))
     other = keep(tmp_path / "c", values)
-    assert _compared(archived, other, 2).first is None
-    found = _compared(archived, other, 4)
-    assert found.first == f"from step 30 on: curve {RETURN} 0.10000000000000002, archived 0.1"
-    assert _compared(archived, keep(tmp_path / "d", values[:2]), 2).values == 2 * (4 + 5)
-    assert "rows, archived 4" in str(_compared(archived, keep(tmp_path / "e", values[:3]), 4).first)
+    assert _compared(archived, other, 2) == (2 * (4 + 5), None)
+    _, first = _compared(archived, other, 4)
+    assert first == f"from step 30 on: curve {RETURN} 0.10000000000000002, archived 0.1"
+    assert _compared(archived, keep(tmp_path / "d", values[:2]), 2) == (2 * (4 + 5), None)
+    _, first = _compared(archived, keep(tmp_path / "e", values[:3]), 4)
+    assert "rows, archived 4" in str(first)
 
 
 @pytest.mark.parametrize(("value", "equal"), [(3.0, True), (30.0, False)])
