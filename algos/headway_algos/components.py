@@ -91,7 +91,7 @@ CRITICS = {
     "none": Component(
         "No critic: advantages are discounted returns within the iteration (REINFORCE).",
         AlgoConfig,
-        Lazy("headway_algos.on_policy.critics.returns:NoCritic"),
+        Lazy("headway_algos.on_policy.critics.no_critic:NoCritic"),
     ),
 }
 CRITIC_UPDATES = {

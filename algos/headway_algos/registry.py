@@ -65,7 +65,9 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
     return None
 
 
-def _refuses_anchor(config: AlgoConfig, kl_coeff: float) -> str | None:
+def _refuses_anchor(config: AlgoConfig, kl_coeff: float, critic_iterations: int) -> str | None:
+    if critic_iterations and config.critic == "none":
+        return "algo.critic=none has no critic to train first; add start.critic_iterations=0"
     if kl_coeff == 0:
         return None
     if not component("update", config.update).penalises:

@@ -199,9 +199,9 @@ class Experiment:
             except HeadwayError as error:  # wrappers hide its inputs
                 raise HeadwayError(f"evaluation.rules: {error}") from error
         give_back_memory()  # each training process loads the same data next
-        for data in (prepared, *stages):
-            for line in getattr(data, "notices", ()):
-                print_notice(line)
+        of_data = (line for data in (prepared, *stages) for line in getattr(data, "notices", ()))
+        for line in dict.fromkeys(of_data):
+            print_notice(line)
         stored, env_id = self.config.env.file_digest, self.config.env.id
         if spec.observation_size > _LARGE_OBSERVATION:
             print_notice(_LARGE.format(env_id, spec.observation_size))
@@ -411,6 +411,7 @@ def _training_config(record: type, env: EnvConfig, key: str, args: Mapping[str, 
         raise HeadwayError(f"{key}: {written}.{line}") from error
 
 
+@prints_to_stderr()
 def _require_known_rule(values: Mapping[str, Any]) -> None:
     """Raise HeadwayError if a configuration's `start.rule` is not a rule to start from."""
     start = values.get("start")

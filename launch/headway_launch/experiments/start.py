@@ -78,8 +78,10 @@ def _require_start(experiment: Experiment, key: str) -> None:
             f"{key}: {experiment.algo_name} starts from random parameters only; add {without}, or use "
             "another algorithm, such as algo=ippo"
         )
-    if start.anchors and (line := experiment.algo.refuses_anchor(experiment.algo_config, start.kl_coeff)):
-        raise HeadwayError(f"{experiment.algo_name}: {line}")
+    if start.anchors:
+        of = experiment.algo_config, start.kl_coeff, start.critic_iterations
+        if line := experiment.algo.refuses_anchor(*of):
+            raise HeadwayError(f"{experiment.algo_name}: {line}")
 
 
 def _require_fitting(folder: Path, record: RunRecord, plan: RunPlan, policy: ActingPolicy) -> None:

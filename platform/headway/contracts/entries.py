@@ -29,7 +29,7 @@ def _no_objection(*_: object) -> None:
     return None
 
 
-def _no_anchor(config: Any, kl_coeff: float) -> str | None:  # noqa: ANN401 - any record
+def _no_anchor(config: Any, kl_coeff: float, critic_iterations: int) -> str | None:  # noqa: ANN401 - any record
     return (
         "this algorithm supports neither start.kl_coeff nor start.critic_iterations; add start.kl_coeff=0 "
         "start.critic_iterations=0, or use another algorithm, such as algo=ippo"
@@ -188,9 +188,9 @@ class AlgoEntry:
     """(config, iterations) -> one line saying why the config needs more iterations; None if they suffice."""
     starts: bool = False
     """Whether its learner is a `StartingLearner`: `start.rule` and `start.run` can be set."""
-    refuses_anchor: Callable[[Any, float], str | None] = _no_anchor
-    """(config, start.kl_coeff) -> one line saying why `start.kl_coeff` or `start.critic_iterations` cannot be
-    set; None if the learner is an `AnchoredLearner` and they can."""
+    refuses_anchor: Callable[[Any, float, int], str | None] = _no_anchor
+    """(config, start.kl_coeff, start.critic_iterations) -> one line saying why `start.kl_coeff` or
+    `start.critic_iterations` cannot be set; None if the learner is an `AnchoredLearner` and they can."""
     contributor: Callable[[Any, EnvSpec, Sequence[int]], Contributor] | None = None
     """(config, spec, seeds of the replicas) -> the worker's part of an `AsynchronousLearner`; it may import
     torch. None: the learner is synchronous."""

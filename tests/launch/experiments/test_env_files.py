@@ -73,7 +73,7 @@ def test_a_run_finds_its_file_again(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.usefixtures("_file")
 def test_a_rule_that_a_file_does_not_have_is_named_even_if_its_budget_is_too_large() -> None:
-    line = refused("run", f"env={FILE}", "algo=ippo", "start.rule=nerest", "start.env_steps=9", "env_steps=9")
+    line = failed("run", f"env={FILE}", "algo=ippo", "start.rule=nerest", "start.env_steps=9", "env_steps=9")
     assert "shuttle.py has no rule to start from" in line
 
 

@@ -251,6 +251,16 @@ def test_blocks_of_an_asynchronous_algorithm_shrink_to_the_limit_of_copies() -> 
             ["env=tracking", "algo=a3c", "start.rule=optimal"],
             "a3c starts from random parameters only; .*=ippo",
         ),
+        (
+            [
+                "env=trivial",
+                "algo=custom",
+                "algo.critic=none",
+                "start.rule=optimal",
+                "start.critic_iterations=2",
+            ],
+            "algo.critic=none has no critic to train first; add start.critic_iterations=0",
+        ),
         (["env=mpe2.simple_spread_v3", "algo=ippo", "start.rule=x"], "has no rule to start from; leave it"),
         (
             ["env=visitors", "algo=ippo", "start.rule=optimal", "env.wrappers=[pad_action_space_v0]"],

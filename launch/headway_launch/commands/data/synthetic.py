@@ -10,7 +10,7 @@ EXAMPLES = """\
 examples:
   headway data synthetic towns/line --size line
   headway data synthetic towns/city --size city --seed 7
-  headway run experiment=bus_city seed=0 env.args.scenario=towns/city study=my_city
+  headway run experiment=bus_city study=mine seed=0 env.args.scenario=towns/city
 
 sizes, with the buses in service at once on a weekday:
   line       1 line, 14 buses

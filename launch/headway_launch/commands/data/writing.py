@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 _SETTINGS = (
     (50, "env=bus algo=mappo"),
-    (400, "experiment=bus_network seed=0"),
-    (math.inf, "experiment=bus_city seed=0"),
+    (400, "experiment=bus_network study=mine seed=0"),
+    (math.inf, "experiment=bus_city study=mine seed=0"),
 )
 """Maximum number of buses at once, and what is suggested to train up to it."""
 

@@ -177,7 +177,7 @@ def _files_of_the_guide() -> dict[str, str]:
     ("buses", "like"),
     [
         (14, ("env=bus", "algo=mappo", "preset=bus_tuned")),
-        (110, ("experiment=bus_sunt_lines10",)),
+        (110, ("experiment=bus_network",)),
         (1360, ("experiment=bus_city",)),
     ],
     ids=["line", "corridor", "city"],

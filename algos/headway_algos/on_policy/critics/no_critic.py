@@ -1,4 +1,4 @@
-"""No critic: the discounted returns themselves."""
+"""Policy gradients without a critic."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,9 +19,9 @@ from headway_algos.on_policy.gae import generalised_advantages
 class NoCritic:
     """Advantages are discounted returns (REINFORCE: Williams 1992, doi 10.1007/BF00992696).
 
-    `normalise_advantages` subtracts their mean, a constant baseline. A return ends with its stream, or the
-    team's episode, and with the iteration: without a critic, rewards after a truncation or after the last
-    step count as zero. An iteration should therefore contain whole episodes.
+    `normalise_advantages` standardises them, which subtracts a constant baseline. A return ends with its
+    stream, or the team's episode, and with the iteration: rewards after a truncation or after the last step
+    count as zero. An iteration should therefore contain whole episodes.
     """
 
     exchangeable_agents = True

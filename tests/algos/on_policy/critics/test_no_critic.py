@@ -17,9 +17,9 @@ GAMMA = 0.9
 
 def discounted(made: Trajectory, t: int, c: int, agent: int, ends: Any) -> float:  # noqa: ANN401 - an array
     """Return the sum of an agent's discounted rewards from step t to the end of its return."""
-    total, width = 0.0, made.rewards.shape[2]
+    total = 0.0
     for later in range(t, len(made.rewards)):
-        total += GAMMA ** (later - t) * float(made.rewards[later, c, min(agent, width - 1)])
+        total += GAMMA ** (later - t) * float(made.rewards[later, c, agent])
         if ends[later, c, agent]:
             break
     return total
@@ -29,14 +29,14 @@ def discounted(made: Trajectory, t: int, c: int, agent: int, ends: Any) -> float
 def test_advantages_are_the_discounted_rewards_to_come(shared_reward: bool) -> None:
     """An agent's own until its stream ends; with a shared reward, the team's until the episode ends."""
     spec = replace(DISCRETE, shared_reward=shared_reward)
-    made = fabricate(spec, 12, 4, seed=3, leaves=0.1)
+    made = fabricate(spec, 12, 4, seed=3, absent=0.4, idle=0.2, leaves=0.1)
     learner = OnPolicyLearner(configure("custom", critic="none", gamma=GAMMA), spec, (1,), "cpu")
     found = learner.critic.estimate(made, learner.behaviour, 1).advantages
     over = made.terminated | made.truncated
     ends = np.broadcast_to(made.episode_ended[..., None], over.shape) if shared_reward else over
     for t, c, agent in np.ndindex(*over.shape):
-        if made.alive[t, c, agent]:
-            assert found[t, c, agent] == pytest.approx(discounted(made, t, c, agent, ends))
+        expected = discounted(made, t, c, agent, ends) if made.alive[t, c, agent] else 0
+        assert found[t, c, agent] == pytest.approx(expected)
 
 
 @pytest.mark.slow
