@@ -40,11 +40,11 @@ $(STAMP): pyproject.toml constraints.txt
 		{ echo "make: Python 3.11, 3.12 or 3.13 is needed; give one: make $(or $(MAKECMDGOALS),setup) PYTHON=/path/to/python3.13" >&2; exit 1; }
 	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet -c constraints.txt --upgrade pip # Python's own takes twice as long
-	@echo "installing packages and compiling kernels, once"
+	@echo "installing packages into $(VENV), once: 3.5 GB, more for torch with CUDA; several minutes"
 	@# The kernels need two packages only: they compile on one core while pip installs the rest on another.
 	@$(PIP_INSTALL) numba pyyaml
 	@$(PIP_INSTALL) --no-deps -e .
-	@$(WARM_UP) & $(PIP_INSTALL) -e ".[dev,sumo]"; installed=$$?; wait $$! && exit $$installed
+	@$(WARM_UP) & $(PIP_INSTALL) -e ".[dev,sumo]"; installed=$$?; echo "compiling kernels"; wait $$! && exit $$installed
 	@$(PIP_INSTALL) --no-deps supersuit # where its tinyscaler has no wheel: all but resize_v1 work without
 	@touch $@
 
