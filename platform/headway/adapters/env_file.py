@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from headway.config.schema import nearest
 from headway.contracts.errors import HeadwayError
 
 _DIGITS = 12
@@ -29,7 +30,11 @@ class EnvFile:
         if not file.is_absolute():
             raise HeadwayError(f"env.id={path}: a stored path must be absolute; correct it to use the run")
         if not file.is_file():
-            raise HeadwayError(f"env.id={path}: there is no such file; correct the path, or restore the file")
+            near = nearest(
+                file.stem, [beside.stem for beside in file.parent.glob("*.py") if beside.is_file()]
+            )
+            fix = f"did you mean {near}.py, beside it?" if near else "correct the path, or restore the file"
+            raise HeadwayError(f"env.id={path}: there is no such file; {fix}")
         try:
             return cls(path, file.read_bytes())
         except OSError as error:

@@ -28,6 +28,8 @@ def require_environment_module(name: str) -> None:
 
     Imports only the parent packages of the module, and only if the package qualifies.
     """
+    if "/" in name or Path(name).is_file():
+        raise HeadwayError(f"env.id={name} is not a Python file; give one, whose name ends in .py")
     if not _PATH.fullmatch(name):
         raise HeadwayError(
             f"env.id={name} is not a public module; write package.module, such as mpe2.simple_spread_v3"

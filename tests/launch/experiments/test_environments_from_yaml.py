@@ -164,7 +164,8 @@ def test_wrappers_that_hide_or_do_not_fit_are_named_before_training(wrappers: st
         ),
         (("env=trivial", "env.wrappers=[{name: clip_reward_v0, _target_: x}]"), "_target_.* is not allowed"),
         (("env=os.path",), "os is not an installed package that depends on PettingZoo"),
-        (("env=../../evil.yaml",), "is not a public module"),
+        (("env=../../evil.yaml",), "is not a Python file; give one, whose name ends in .py"),
+        (("env=../lab",), "is not a Python file; give one, whose name ends in .py"),
     ],
 )
 def test_invalid_environments_and_wrappers_print_one_line(overrides: tuple[str, ...], message: str) -> None:

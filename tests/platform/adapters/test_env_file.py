@@ -191,6 +191,9 @@ def test_a_missing_file_is_a_one_line_error(tmp_path: Path) -> None:
             HeadwayError, match="there is no such file; correct the path, or restore the file"
         ):
             EnvFile.read(str(path))
+    (tmp_path / "depots.py").touch()
+    with pytest.raises(HeadwayError, match=r"no such file; did you mean depots\.py, beside it\?"):
+        EnvFile.read(str(tmp_path / "depot.py"))
 
 
 DECLARED = (
