@@ -477,7 +477,7 @@ def _hydra_override(override: str, overrides: Sequence[str]) -> str:
             or_module = (
                 _OTHER_ENVS if not Path(f"{value}.py").is_file() else f", or your file env=./{value}.py"
             )
-        near = suggestion(value, known[key], f"{key}=")
+        near = suggestion(value, known[key], f"{key}=", f" (headway list {key}s)")
         raise HeadwayError(f"{override}: there is no such {key}; {near}{or_module}")
     if key == "experiment" and not (file := config_file(key, value)).is_relative_to(configs_folder()):
         return choice_of_file(file)

@@ -53,17 +53,18 @@ def nearest(name: str, names: Iterable[str], cutoff: float = 0.5) -> str | None:
     return by_lower[found[0]] if found else None
 
 
-def suggestion(name: str, names: Iterable[str], prefix: str = "") -> str:
+def suggestion(name: str, names: Iterable[str], prefix: str = "", all_by: str = "") -> str:
     """Return the end of an error line: the nearest name, if any is similar, and the known names.
 
-    `prefix` is put before the nearest name. If there are more than 30 names, only the nearest are listed.
+    `prefix` is put before the nearest name. If there are more than 30 names, only the nearest are listed, and
+    `all_by` says how to list all.
     """
     known = sorted(names)
     near = nearest(name, known)
     start = f"did you mean {prefix}{near}? Available" if near else "available"
     if len(known) > _MAX_NAMES:
-        shown = difflib.get_close_matches(name, known, n=_NEAREST_NAMES, cutoff=0.0)
-        return f"{start}: {', '.join(shown)} and {len(known) - len(shown)} more"
+        shown = sorted(difflib.get_close_matches(name, known, n=_NEAREST_NAMES, cutoff=0.0))
+        return f"{start}: {', '.join(shown)} and {len(known) - len(shown)} more{all_by}"
     return f"{start}: {', '.join(known) or 'none'}"
 
 
@@ -98,7 +99,10 @@ def build(
     hints, docs = get_type_hints(record_class), field_docs(checked)
     for key, value in mapping.items():
         _check_single_choice(hints[key], value, _join(path, key), of, docs.get(key, ""))
-    values = {key: _convert(hints[key], value, _join(path, key)) for key, value in mapping.items()}
+    values = {
+        key: _convert(hints[key], value, _join(path, key), _default_text(fields[key]))
+        for key, value in mapping.items()
+    }
     try:
         return record_class(**values)
     except InvalidValueError as error:
@@ -245,12 +249,12 @@ def _has_default(field: dataclasses.Field[Any]) -> bool:
     return field.default is not MISSING or field.default_factory is not MISSING
 
 
-def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value
+def _convert(hint: Any, value: Any, key: str, default: str = "") -> Any:  # noqa: ANN401 - any annotation, any value
     origin, arguments = get_origin(hint), get_args(hint)
     if hint is Any:
         return value
     if origin in (Union, UnionType):
-        return _convert_union(hint, value, key)
+        return _convert_union(hint, value, key, default)
     if origin is Literal:
         if any(value == allowed and type(value) is type(allowed) for allowed in arguments):
             return value
@@ -276,10 +280,10 @@ def _convert(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any anno
         return {name: _convert(inner, item, f"{key}.{name}") for name, item in value.items()}
     if isinstance(origin, type) and issubclass(origin, Sequence):
         return _convert_sequence(hint, value, key)
-    return _convert_scalar(hint, value, key)
+    return _convert_scalar(hint, value, key, default)
 
 
-def _convert_scalar(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value
+def _convert_scalar(hint: Any, value: Any, key: str, default: str) -> Any:  # noqa: ANN401 - any annotation, any value
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if is_number and isinstance(value, int) and abs(value) > _MAX_INT:
         raise HeadwayError(f"{key} is a whole number beyond 2^63; give a smaller one")
@@ -295,10 +299,10 @@ def _convert_scalar(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - a
         return value
     if isinstance(hint, type) and hint not in (int, float, str, bool) and isinstance(value, hint):
         return value
-    raise _wrong_type(type_name(hint), value, key)
+    raise _wrong_type(type_name(hint), value, key, default)
 
 
-def _convert_union(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value
+def _convert_union(hint: Any, value: Any, key: str, default: str) -> Any:  # noqa: ANN401 - any annotation, any value
     options = get_args(hint)
     if value is None and NoneType in options:
         return None
@@ -307,11 +311,11 @@ def _convert_union(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - an
         if option is NoneType:
             continue
         try:
-            return _convert(option, value, key)
+            return _convert(option, value, key, default)
         except HeadwayError as problem:
             problems.append(problem)
     # If only one type was possible, its own message is clearer than that of the union.
-    raise problems[0] if len(problems) == 1 else _wrong_type(type_name(hint), value, key)
+    raise problems[0] if len(problems) == 1 else _wrong_type(type_name(hint), value, key, default)
 
 
 def _convert_sequence(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 - any annotation, any value
@@ -329,10 +333,10 @@ def _convert_sequence(hint: Any, value: Any, key: str) -> Any:  # noqa: ANN401 -
     return items if get_origin(hint) is list else tuple(items)
 
 
-def _wrong_type(wanted: str, value: object, key: str) -> HeadwayError:
+def _wrong_type(wanted: str, value: object, key: str, default: str = "") -> HeadwayError:
     kinds = {bool: "true or false", int: "a whole number", float: "a number", str: "text", NoneType: "null"}
     kind = kinds.get(type(value), "a mapping" if isinstance(value, Mapping) else "a list")
-    hint = _number_hint(value, wanted) if isinstance(value, str) else ""
+    hint = _number_hint(value, wanted, default) if isinstance(value, str) else ""
     if wanted == "text" and kind in ("true or false", "a whole number", "a number"):
         hint = f"; write it in quotes (in a shell, in two pairs): \"{key}='{shown(value)}'\""
     word = isinstance(value, str) and value.isidentifier()
@@ -342,13 +346,13 @@ def _wrong_type(wanted: str, value: object, key: str) -> HeadwayError:
     return HeadwayError(f"{key}={shown(value)} is {kind}, where {article}{wanted} is expected{hint}")
 
 
-def _number_hint(text: str, wanted: str) -> str:
+def _number_hint(text: str, wanted: str, default: str) -> str:
     if "number" not in wanted or wanted.startswith("list"):
         return ""
     try:
         float(text)
     except ValueError:
-        example = "64" if "whole" in wanted else "3e-4"
+        example = default if default[:1].isdigit() else "64" if "whole" in wanted else "3e-4"
         return f"; give a {'whole number' if 'whole' in wanted else 'number'}, such as {example}"
     return "; write it without quotes"
 

@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from difflib import SequenceMatcher, get_close_matches
 from hashlib import sha256
 from json import dumps
+from operator import itemgetter
 from pathlib import Path
 from platform import node
 from typing import Any, Literal, Self, get_args
@@ -280,12 +281,13 @@ def first_runs(names: Sequence[str], among: Collection[str]) -> str:
     """Return the runs for an error that asks for one of them: `a, b or c`; the newest five if there are more:
     `such as a, b, c, d or e (12 in all)`.
 
-    A name is cut to its cell and seed if it stays unique `among` the names of all runs.
+    They are sorted by cell and seed, to which a name is cut if it stays unique `among` the names of all runs.
     """
     newest = sorted(sorted(names), key=lambda name: name.split("-")[-3:-1], reverse=True)
     short = {name: _MOMENT.sub("", name) for name in newest[:_MAX_NAMED]}
     *most, last = (
-        part if sum(part in other for other in among) == 1 else name for name, part in short.items()
+        part if sum(part in other for other in among) == 1 else name
+        for name, part in sorted(short.items(), key=itemgetter(1))
     )
     listed = f"{', '.join(most)} or {last}" if most else last
     return f"such as {listed} ({len(names)} in all)" if len(names) > _MAX_NAMED else listed

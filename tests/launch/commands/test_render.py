@@ -198,10 +198,10 @@ def test_a_study_named_almost_like_an_environment_is_a_study(empty_folder: Path)
 
 def test_an_environment_whose_name_runs_have_is_told_with_those_runs(empty_folder: Path) -> None:
     for seed in range(7):
-        run = empty_folder / "runs" / "bus" / f"bus-ippo-s{9 - seed}-2026010{seed}-120000-ab"
+        run = empty_folder / "runs" / "bus" / f"bus-ippo-s{seed}-2026010{seed}-120000-ab"
         run.mkdir(parents=True)
         (run / "run.json").write_text("{}")
-    *most, last = (f"bus-ippo-s{9 - day}" for day in (6, 5, 4, 3, 2))
+    *most, last = (f"bus-ippo-s{seed}" for seed in (2, 3, 4, 5, 6))
     named = f"such as {', '.join(most)} or {last} (7 in all)"
     line = f"bus is an environment; add --rule RULE (`headway list rules bus`), or name a run, {named}\n"
     assert refused("render", "bus").endswith(line)
@@ -210,7 +210,7 @@ def test_an_environment_whose_name_runs_have_is_told_with_those_runs(empty_folde
     again = empty_folder / "runs" / "bus" / "bus-ippo-s3-20260107-120000-cd"
     again.mkdir()
     (again / "run.json").write_text("{}")
-    both = "bus-ippo-s3-20260107-120000-cd or bus-ippo-s3-20260106-120000-ab"
+    both = "bus-ippo-s3-20260107-120000-cd or bus-ippo-s3-20260103-120000-ab"
     assert f"2 runs: name one, {both}; `headway runs` shows" in refused("export", "ippo-s3")
 
 
