@@ -1,6 +1,7 @@
 """Arguments of Python callables as configuration records, so that they are checked like all other keys."""
 
 import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, make_dataclass
 from inspect import Parameter
@@ -25,17 +26,21 @@ def argument_record(name: str, function: Callable[..., Any], first: int = 0) -> 
 
     The first `first` arguments are left out, and those whose default YAML cannot represent. Annotations made
     of numbers, strings, booleans, None, and sequences and mappings of these are kept; any other annotation,
-    or none, accepts any value.
+    or none, accepts any value. A line `NAME: ...` of the docstring, and further indented ones, describe one.
     """
+    docs = inspect.cleandoc(function.__doc__ or "")
     fields: list[Any] = []
     for parameter in list(_signature(function).parameters.values())[first:]:
         if parameter.kind not in _NAMED or parameter.name.startswith("_"):
             continue
         hint = parameter.annotation if _is_plain_hint(parameter.annotation) else Any
         if parameter.default is Parameter.empty:
-            fields.append((parameter.name, hint, field(kw_only=True)))
+            made = field(kw_only=True, metadata=_described(docs, parameter.name))
         elif is_plain(parameter.default):
-            fields.append((parameter.name, hint, _with_default(parameter.default)))
+            made = _with_default(parameter.default, _described(docs, parameter.name))
+        else:
+            continue
+        fields.append((parameter.name, hint, made))
     return make_dataclass(name, fields, frozen=True)
 
 
@@ -60,10 +65,17 @@ def _signature(function: Callable[..., Any]) -> inspect.Signature:
         return inspect.signature(function)
 
 
-def _with_default(default: object) -> Any:  # noqa: ANN401 - `dataclasses` types fields loosely
+def _with_default(default: object, metadata: Mapping[str, str]) -> Any:  # noqa: ANN401 - `dataclasses` types fields loosely
     if isinstance(default, list | dict):
-        return field(default_factory=lambda: default, kw_only=True)
-    return field(default=default, kw_only=True)
+        return field(default_factory=lambda: default, kw_only=True, metadata=metadata)
+    return field(default=default, kw_only=True, metadata=metadata)
+
+
+def _described(docstring: str, name: str) -> dict[str, str]:
+    """Return the metadata of a field (`schema.field_docs`) that a function's docstring describes."""
+    form = rf"^([ \t]*)(?::param )?{name}(?: ?\(.*\))?:[ \t]+(\S.*(?:\n\1[ \t]+\S.*)*)"
+    found = re.search(form, docstring, re.MULTILINE)
+    return {"doc": " ".join(found[2].split())} if found else {}
 
 
 def _is_plain_hint(hint: Any) -> bool:  # noqa: ANN401 - any annotation

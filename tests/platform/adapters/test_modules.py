@@ -224,6 +224,26 @@ def test_unknown_annotations_accept_any_value() -> None:
     assert build(record, {"path": "x", "sizes": [1]}, "") is not None
 
 
+def test_arguments_are_described_by_lines_of_the_docstring() -> None:
+    def function(cars: int, steps: int = 20, bus: bool = False, speed: float = 1.0) -> None:
+        """Return a junction with cars: many of them.
+
+        Args:
+            cars: agents,
+                besides the bus
+            steps (int): length of an episode
+        :param bus: whether there is a bus
+        """
+
+    described = {row.key: row.doc for row in describe(argument_record("Arguments", function))}
+    assert described == {
+        "cars": "agents, besides the bus",
+        "steps": "length of an episode",
+        "bus": "whether there is a bus",
+        "speed": "",
+    }
+
+
 def test_a_shared_reward_is_checked_against_the_rewards(zoo: str) -> None:
     team = AdapterOptions(shared_reward=True)
     make = prepared(f"{zoo}.team_v0", team)
