@@ -20,8 +20,9 @@ from headway_launch.console.output import print_notice
 from headway_launch.experiments.compose import Experiment, PreparedEnv
 from headway_launch.experiments.start import parent_run, start_rule
 
-_FREE_BYTES = 200 * 2**20
+_FREE_BYTES = 20 * 2**20
 _FREE_BYTES_PER_SEED = 10 * 2**20
+"""Free space that a session needs. Most runs take 1 to 10 MiB, mostly checkpoints."""
 _CHECKPOINTS_AT_ONCE = 3
 """Maximum number of checkpoints on disk: two are kept, and a third is written before the older is deleted."""
 

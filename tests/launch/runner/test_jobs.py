@@ -166,7 +166,13 @@ def test_the_disk_must_have_room_for_replay_buffers(tmp_path: Path, monkeypatch:
     require_free_disk(tmp_path, small, 2)
     with pytest.raises(HeadwayError, match=r"only 1,024 MiB are free .* 3 seeds need about 3,\d{3} MiB"):
         require_free_disk(tmp_path, large, 2)
-    require_free_disk(tmp_path, plan_jobs(compose(["env=trivial", "algo=ippo", "seed=0..2"])), 2)
+    without_replay = plan_jobs(compose(["env=trivial", "algo=ippo", "seed=0..2"]))
+    require_free_disk(tmp_path, without_replay, 2)
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=50 * 2**20))
+    require_free_disk(tmp_path, without_replay, 2)
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=49 * 2**20))
+    with pytest.raises(HeadwayError, match=r"only 49 MiB are free .* 3 seeds need about 50 MiB"):
+        require_free_disk(tmp_path, without_replay, 2)
 
 
 def test_a_store_that_cannot_be_created_is_reported_before_its_free_space(tmp_path: Path) -> None:
