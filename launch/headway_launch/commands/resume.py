@@ -1,7 +1,9 @@
 """`headway resume`: continue runs, or a whole study, that were stopped, killed or failed."""
 
 import argparse
+import shlex
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +25,8 @@ examples:
 
 A run continues from its last checkpoint. If the environment supports snapshots (bus does), its curves equal
 those of an uninterrupted run bit for bit; otherwise episodes are restarted, and the tag
-`episodes_restarted` of the run holds the iterations at which they were.
+`episodes_restarted` of the run holds the iterations at which they were. The table at the end has all seeds
+of the cell that have finished.
 """
 
 
@@ -68,20 +71,45 @@ def execute(arguments: argparse.Namespace) -> int:
     if code != EXIT_STOPPED:
         require_all_ended(study or runs[0].record.study, [*held, *left], may_leave=True)
     if not cells and not held:
-        print_line(f"headway: all runs of study {study} have finished: there is nothing to resume")
+        name = shlex.quote(study)
+        print_line(
+            f"headway: all runs of study {study} have finished: there is nothing to resume; for the results: "
+            f"headway compare {name}, headway report {name}"
+        )
     return code
 
 
 def _cells_of(runs: Sequence["StoredRun"]) -> list["CellPlan"]:
+    """Return the cells of `runs`, whose results include the finished runs of other seeds."""
     from headway_launch.runner.jobs import CellPlan
     from headway_launch.runner.stored_run import jobs_to_resume
     from headway_launch.studies.plan import cell_labels
 
     batches = jobs_to_resume(runs, {})
     labels = cell_labels([jobs[0].experiment for jobs in batches])
-    return [
-        CellPlan(jobs[0].experiment, jobs, label=label) for jobs, label in zip(batches, labels, strict=True)
-    ]
+    by_id = {run.record.run_id: run for run in runs}
+    cells = []
+    for jobs, label in zip(batches, labels, strict=True):
+        experiment, config = jobs[0].experiment, jobs[0].experiment.config
+        finished = _finished_beside(by_id[jobs[0].resumed[0]], config.seed)
+        seeds = tuple(sorted({*config.seed, *finished}))
+        experiment = replace(experiment, config=replace(config, seed=seeds))
+        cells.append(CellPlan(experiment, jobs, tuple(finished.values()), label))
+    return cells
+
+
+def _finished_beside(run: "StoredRun", resumed: Sequence[int]) -> dict[int, Path]:
+    """Return the folder of the newest finished run of each other seed with the configuration of `run`."""
+    from headway.store.index import RunIndex
+    from headway_launch.runner.stored_run import StoredRun
+
+    found = {}
+    for row in RunIndex(run.store).rows(run.record.study):
+        if row.cell == run.record.cell and row.status == "FINISHED" and row.seed not in resumed:
+            with suppress(HeadwayError):  # damaged
+                if StoredRun.read(run.store, Path(row.directory)).identity == run.identity:
+                    found[row.seed] = Path(row.directory)
+    return found
 
 
 def _cells_of_study(

@@ -36,8 +36,9 @@ def test_one_of_several_seeds_goes_on_alone(backend: str, monkeypatch: pytest.Mo
     shown: list[tuple[str, ...]] = []
     monkeypatch.setattr(Progress, "show", lambda progress: shown.append(progress._jobs[0].cells()))
     summary = json.loads(Path(first.directory, "summary.json").read_text())
-    output("resume", first.run_id)
+    table = output("resume", first.run_id).out
     assert [row.status for row in stored_rows()] == ["FINISHED", "FINISHED"]
+    assert [line.split("\t")[0] for line in table.splitlines()[1:4]] == ["0", "1", "mean"]
     again = json.loads(Path(first.directory, "summary.json").read_text())
     assert again["final_reward"] == summary["final_reward"]
     assert {cells[2] for cells in shown} == {"64 steps"}
@@ -135,3 +136,33 @@ def test_a_study_also_resumes_failed_runs(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr("headway_launch.runner.stored_run.jobs_to_resume", note)
     assert run(["resume", "--study", "default"]) == 0
     assert resumed == ["run-0-s0", "run-1-s1"]
+
+
+def test_a_study_without_unfinished_runs_names_the_commands_for_its_results(tmp_path: Path) -> None:
+    end_as(_stored(tmp_path / "runs", 0, 0).directory, "FINISHED")
+    line = output("resume", "--study", "default").err.splitlines()[-1]
+    assert line.endswith(
+        "nothing to resume; for the results: headway compare default, headway report default"
+    )
+
+
+def test_results_include_finished_seeds_of_the_same_configuration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored = [_stored(tmp_path / "runs", seed, number) for number, seed in enumerate((2, 0, 1, 2, 3))]
+    stored.append(_stored(tmp_path / "runs", 4, 5, evaluation={"episodes": 7}))
+    for number, run_ in enumerate(stored):
+        end_as(run_.directory, "KILLED" if number in (0, 2) else "FINISHED")
+    (stored[4].directory / "config.yaml").write_text("")  # damaged
+    resumed: list[CellPlan] = []
+
+    def note(cells: Sequence[CellPlan], debug: bool, plan_kept: bool) -> tuple[int, list[Path]]:
+        resumed.extend(cells)
+        return 0, []
+
+    monkeypatch.setattr("headway_launch.runner.runner.run_sessions", note)
+    assert run(["resume", "run-2-s1"]) == 0
+    [cell] = resumed
+    assert cell.finished == (stored[1].directory, stored[3].directory)
+    assert [job.seeds for job in cell.jobs] == [(1,)]
+    assert cell.experiment.config.seed == (0, 1, 2)
