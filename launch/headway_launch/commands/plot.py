@@ -50,6 +50,7 @@ def execute(arguments: argparse.Namespace) -> int:
     """Plot, and print the path of the picture."""
     from headway.stats import frames, plots
     from headway_launch.studies.runs import (
+        curve_column,
         curves_of,
         finished_runs,
         metric_descriptions,
@@ -58,8 +59,7 @@ def execute(arguments: argparse.Namespace) -> int:
     )
 
     root = existing_store(arguments.store)
-    named: str = arguments.metric
-    metric = named if "/" in named else f"evaluation_greedy/{named}"
+    metric = curve_column(arguments.metric)
     runs = finished_runs(root, arguments.study, arguments.where)
     output = Path(arguments.output or f"{arguments.study}.png")
     means = frames.mean_curves(curves_of(runs, metric))

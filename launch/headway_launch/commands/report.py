@@ -16,7 +16,7 @@ examples:
   headway report bus --table energy --format markdown         print one table, also as latex or csv
   headway report bus merge old/runs:crossing                  ranks and normalised scores over environments
   headway report bus --metric evaluation_sampled/return
-  headway report bus --metric evaluation_greedy/mean_wait_min --lower-is-better
+  headway report bus --metric mean_wait_min --lower-is-better
 
 html: one self-contained page, report.html, and beside it tables/ (CSV with all digits), pictures/ (PNG),
 configs/ and commands.txt. markdown: the same page as report.md, for GitHub and for Sphinx with MyST; it shows
@@ -42,7 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output", metavar="DIR", help="folder to write (default: report-STUDY, or report-STUDY-STUDY...)"
     )
     parser.add_argument(
-        "--metric", help="evaluation metric of final rewards (default: evaluation_greedy/return)"
+        "--metric",
+        help="evaluation metric of final rewards; a name without group is of evaluation_greedy "
+        "(default: return)",
     )
     parser.add_argument(
         "--lower-is-better", action="store_true", help="the metric is a cost, such as a waiting time"

@@ -26,6 +26,7 @@ from headway_launch.studies.learner_pairs import PairRow, pair_rows
 from headway_launch.studies.runs import (
     common_mode,
     configuration,
+    curve_column,
     curve_points,
     curves_of,
     included_runs,
@@ -85,7 +86,7 @@ class StudyData:
             self.excluded += [f"{each} of {name}" if others else each for each in excluded]
         self.all_runs = RunSelection(root, tuple(every))
         self.runs = RunSelection(root, tuple(included), beside=self.all_runs.rows)
-        self.metric = metric or f"evaluation_{common_mode(self.runs)}/return"
+        self.metric = curve_column(metric or f"evaluation_{common_mode(self.runs)}/return")
         group, _, self.column = self.metric.rpartition("/")
         if not group.startswith("evaluation_"):
             raise HeadwayError(

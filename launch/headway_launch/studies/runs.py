@@ -73,6 +73,11 @@ def included_runs(rows: Sequence["RunRow"], study: str) -> tuple[list["RunRow"],
     return newest, excluded
 
 
+def curve_column(metric: str) -> str:
+    """Return the column that `--metric` names; a name without group is of `evaluation_greedy`."""
+    return metric if "/" in metric else f"evaluation_greedy/{metric}"
+
+
 def curves_of(runs: "RunSelection", metric: str) -> "pd.DataFrame":
     """Return the curves of a metric in the layout of `headway.stats.frames`, ready to be averaged over runs.
 

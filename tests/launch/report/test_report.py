@@ -695,7 +695,7 @@ def test_metrics_have_units_and_rules_one_order_in_tables_and_pictures(keep_run:
     rules = {"random": 3.0, "idle": 1.0, "idm_mobil": 2.0}
     for seed in range(2):
         keep_run(("experiment=merge_mappo",), seed, 5.0 + seed, rules=rules, mean_speed_ms=22.0)
-    report = made(root, metric="evaluation_greedy/mean_speed_ms")
+    report = made(root, metric="mean_speed_ms")
     assert "IQM of final mean speed, m/s [95%]" in report_table(report, "interquartile_means").headings
     assert "greedy: final mean speed, m/s" in report_table(report, "final_rewards").headings
     assert "mean speed, m/s" in [row[0] for row in report_table(report, "episode_metrics").rows]
@@ -728,7 +728,7 @@ def test_names_and_text_cannot_break_the_page() -> None:
         (("stdy",), "did you mean study?"),
         (("empty",), "study 'empty' has no finished run (1 KILLED)"),
         (("study", "--metric", "training/return"), "'training/return' is not an evaluation metric"),
-        (("study", "--metric", "evaluation_greedy/retrun"), "did you mean evaluation_greedy/return?"),
+        (("study", "--metric", "retrun"), "did you mean evaluation_greedy/return?"),
         (("study", "--output", "FILE/report"), "--output: "),
         (("study", "--output", "FILE"), "--output: FILE is a file; name a folder"),
         (("study", "--format", "markdwon"), "invalid choice: 'markdwon'"),
