@@ -20,6 +20,7 @@ def read_configuration(directory: Path) -> dict[str, Any]:
     import yaml
 
     path = directory / "config.yaml"
+    remedy = "restore it, or remove this run's folder to use the other runs"
     require_regular(path)
     # The C loader is ten times faster, which is noticeable in studies with hundreds of runs.
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -29,9 +30,9 @@ def read_configuration(directory: Path) -> dict[str, Any]:
         mapping = yaml.load(text, loader)
     except (OSError, ValueError, yaml.YAMLError) as error:
         reason = str(error).splitlines()[0]
-        raise HeadwayError(f"{path} cannot be read ({reason}), so the run cannot be used") from error
+        raise HeadwayError(f"{path} cannot be read ({reason}): {remedy}") from error
     if not isinstance(mapping, dict):
-        raise HeadwayError(f"{path} holds no configuration, so the run cannot be used")
+        raise HeadwayError(f"{path} holds no configuration: {remedy}")
     return upgraded(mapping)
 
 

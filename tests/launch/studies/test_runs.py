@@ -102,7 +102,9 @@ def test_configuration_is_read_without_the_c_loader(tmp_path: Path, monkeypatch:
     assert configuration(str(tmp_path)) == {"study": "bus"}
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "config.yaml").write_text("algo: [")
-    with pytest.raises(HeadwayError, match=r"config\.yaml cannot be read"):
+    with pytest.raises(
+        HeadwayError, match=r"config\.yaml cannot be read .*: restore it, or remove this run's"
+    ):
         configuration(str(tmp_path / "broken"))
 
 
