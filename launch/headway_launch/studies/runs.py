@@ -105,11 +105,15 @@ def curves_of(runs: "RunSelection", metric: str) -> "pd.DataFrame":
 
 def curve_points(runs: "RunSelection", metric: str) -> "pd.DataFrame":
     """Return the points of each run's curve of a metric, one per row; none for runs without the metric."""
-    curves = runs.curves([metric])
+    curves = runs.curves(["env_steps", metric])  # no error if no run has the metric
     kept = ["run_id", "cell", "label", "task", "controller", "seed", "env_steps"]
     # Controllers in the same order as in tables.
     ordered = curves.sort_values("controller", kind="stable", ignore_index=True)
-    return ordered.reindex(columns=[*kept, metric]).rename(columns={metric: "value"})
+    return (
+        ordered.reindex(columns=[*kept, metric])
+        .rename(columns={metric: "value"})
+        .dropna(subset="value", ignore_index=True)
+    )
 
 
 def common_mode(runs: "RunSelection") -> str:

@@ -148,15 +148,18 @@ class RunSelection:
         """Return one row per point of a learning curve: `iteration`, `env_steps`, `wall_s` and the metrics.
 
         `metrics`: columns `group/name` to read, ignored where a run lacks them; rows with none of them are
-        dropped. None: all columns.
+        dropped. None: all columns. Raises HeadwayError if there are curves, but none has any of `metrics`.
         """
-        found = self._logs(
-            "curve", None if metrics is None else ("iteration", "env_steps", "wall_s", *metrics)
-        )
-        known = [name for name in metrics or () if name in found.columns]
-        if metrics is None:
+        steps = ("iteration", "env_steps", "wall_s")
+        found = self._logs("curve", None if metrics is None else tuple(dict.fromkeys((*steps, *metrics))))
+        if metrics is None or found.empty:
             return found
-        return found.dropna(subset=known, how="all").reset_index(drop=True) if known else found.iloc[:0]
+        known = [name for name in metrics if name in found.columns]
+        if metrics and not known:
+            columns = [name for name in self._logs("curve", None).columns if "/" in name]
+            asked = ", ".join(map(repr, metrics))
+            raise HeadwayError(f"no curve has {asked}; {suggestion(metrics[0], columns)}")
+        return found.dropna(subset=known, how="all").reset_index(drop=True)
 
     def evaluations(
         self, metrics: Sequence[str] | None = None, mode: str | None = None, final: bool | None = None

@@ -119,7 +119,10 @@ def test_only_requested_metrics_are_read(root: Path) -> None:
     assert found["env_steps"].tolist() == [0, 20]
     assert found["evaluation_greedy/return"].tolist() == [0, 2]
     assert "training/return" not in found
-    assert select(root).curves(["absent"]).empty
+    with pytest.raises(
+        HeadwayError, match="no curve has 'evaluation_gredy/return'; did you mean evaluation_g"
+    ):
+        select(root).curves(["evaluation_gredy/return"])
 
 
 def test_evaluations_by_mode_and_final(root: Path) -> None:
