@@ -41,7 +41,9 @@ def absolute_metric_section(data: StudyData) -> Section | None:
             if len(learned) < len(members):
                 seeds = counted(len(members), "seed")
                 notes.append(f"{controller}{data.where(task)}: {len(learned)} of its {seeds}")
-            scores = pd.DataFrame({"controller": controller, "task": task, "score": map(fmean, learned)})
+            scores = pd.DataFrame(
+                {"controller": controller, "task": task, "final_reward": map(fmean, learned)}
+            )
             [row] = frames.summary(scores).to_dict("records")
             found = {str(name): value for name, value in row.items()}
             against = DifferenceFromBest(None, "no rule was run")

@@ -85,10 +85,11 @@ def across_environments(data: StudyData) -> Section | None:
         return Section("across", title, body)
     scores = data.scores[data.scores["controller"].isin(data.trained_on_all_tasks)]
     if missing := _missing_scale(data):
-        means = scores.pivot_table("score", "task", "controller", sort=False)
+        means = scores.pivot_table("final_reward", "task", "controller", sort=False)
         body += [f"Scores cannot be aggregated: {missing}.", *_ranks(data.sign * means)]
         return Section("across", title, body)
-    scaled = frames.normalised_by_rules(scores.assign(score=data.sign * scores["score"]), "score", data.scale)
+    signed = scores.assign(final_reward=data.sign * scores["final_reward"])
+    scaled = frames.normalised_by_rules(signed, "final_reward", data.scale)
     found = frames.summary(scaled)
     by_task = {task: frames.summary(scaled[scaled["task"] == task]) for task in data.tasks}
     rows = [

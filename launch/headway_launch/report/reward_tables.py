@@ -213,7 +213,7 @@ def _interquartile_table(data: StudyData) -> Table:
 def improvement_section(data: StudyData) -> Section:
     """Return the section with probabilities of improvement and performance profiles."""
     body: list[Part] = []
-    signed = data.scores.assign(score=data.sign * data.scores["score"])
+    signed = data.scores.assign(final_reward=data.sign * data.scores["final_reward"])
     if len(data.controllers) > 1:
         body += [*_learner_pairs(data), *_improvements(data, signed)]
     else:
@@ -232,7 +232,9 @@ def improvement_section(data: StudyData) -> Section:
             + ("Lower is better." if data.lower_is_better else "A higher curve is better.")
         )
         scores = data.scores_on(task)
-        by_name = {str(name): of_name.to_numpy() for name, of_name in scores.groupby("controller")["score"]}
+        by_name = {
+            str(name): of_name.to_numpy() for name, of_name in scores.groupby("controller")["final_reward"]
+        }
         if off := plots.outliers(by_name, data.sign):
             caption += f" Outside the axis: {', '.join(f'{name} ({formatted(off[name])})' for name in off)}."
         thresholds = frames.even_thresholds(scores[~scores["controller"].isin(list(off))])

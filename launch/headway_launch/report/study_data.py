@@ -210,10 +210,9 @@ class StudyData:
 
     @cached_property
     def scores(self) -> pd.DataFrame:
-        """One row per run: `controller`, `task` and `score`, the metric over the last 20% of steps."""
-        metrics = self.curve_metrics.rename(columns={"final_reward": "score"})
+        """One row per run: `controller`, `task` and `final_reward`, the metric over the last 20% of steps."""
         in_order = [row.run_id for members in self.cells.values() for row in members]
-        return metrics.loc[in_order, ["controller", "task", "score"]]
+        return self.curve_metrics.loc[in_order, ["controller", "task", "final_reward"]]
 
     @cached_property
     def few_seeds_note(self) -> str:

@@ -89,7 +89,7 @@ def _best_learner(data: StudyData, task: str) -> str:
         what = f"mean {data.readable(data.column).partition(', ')[0]} in the last evaluation"
         episodes = data.last_episodes(task)
     else:
-        means = data.scores_on(task).groupby("controller")["score"].mean()
+        means = data.scores_on(task).groupby("controller")["final_reward"].mean()
         what, episodes = f"mean final {data.metric_label}", f"{data.curve_episodes(task)} per evaluation"
     best = (means * data.sign).max()
     names = [str(name) for name in means.index if means[name] * data.sign == best]

@@ -1,8 +1,9 @@
 """The statistics of `headway.stats` for pandas frames.
 
 A frame of scores has one row per run: `controller` (what is compared: an algorithm with its settings), `task`
-(the environment) and `score`. A frame of curves has one row per point: `controller`, `task`, `run_id`,
-`env_steps` and `value`. Controllers keep the order of their first row.
+(the environment) and `final_reward`, as `curve_metrics` and `RunSelection.runs` return it. A frame of curves
+has one row per point: `controller`, `task`, `run_id`, `env_steps` and `value`. Controllers keep the order of
+their first row.
 """
 
 from collections.abc import Mapping, Sequence
@@ -107,7 +108,7 @@ def summary(scores: pd.DataFrame) -> pd.DataFrame:
     """
     rows = []
     for controller, of_controller in scores.groupby("controller", sort=False):
-        statistics = mean_std(of_controller["score"].to_numpy())
+        statistics = mean_std(of_controller["final_reward"].to_numpy())
         tasks = list(_by_task(of_controller).values())
         interval, known = stratified_bootstrap_interval(tasks), _several_runs(tasks)
         rows.append(
@@ -191,7 +192,7 @@ def profiles(scores: pd.DataFrame, thresholds: ArrayLike | None = None) -> pd.Da
 
 def even_thresholds(scores: pd.DataFrame) -> NDArray[np.float64]:
     """Return evenly spaced thresholds over the range of all scores and 2% beyond, for `profiles`."""
-    least, most = scores["score"].min(), scores["score"].max()
+    least, most = scores["final_reward"].min(), scores["final_reward"].max()
     margin = 0.02 * (most - least) or 1.0
     return np.linspace(least - margin, most + margin, _PROFILE_POINTS)
 
@@ -254,7 +255,7 @@ def normalised_by_rules(
 
 def _by_task(scores: pd.DataFrame) -> dict[str, NDArray[np.float64]]:
     return {
-        str(task): of_task["score"].to_numpy(np.float64)
+        str(task): of_task["final_reward"].to_numpy(np.float64)
         for task, of_task in scores.groupby("task", sort=False)
     }
 

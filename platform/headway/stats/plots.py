@@ -510,7 +510,8 @@ def reward_against_cost(
     styles: Mapping[str, Mapping[str, Any]],
     sign: int = 1,
 ) -> "Figure":
-    """Plot each run's `score` over its `cost`, with a ring at each controller's mean, one panel per task.
+    """Plot each run's `final_reward` over its `cost`, with a ring at each controller's mean, one panel per
+    task.
 
     `cost` is a column of `runs`, multiplied by `factor`; `labels` are those of the horizontal and the
     vertical axis. Controllers far worse than most (`outliers`, see there for `sign`) are in the legend only.
@@ -521,17 +522,21 @@ def reward_against_cost(
     for task, axes in zip(tasks, panels, strict=True):
         grouped = runs[runs["task"] == task].groupby("controller", sort=False)
         by_name = {str(name): of_name for name, of_name in grouped}
-        excluded = outliers({name: of_name["score"].to_numpy() for name, of_name in by_name.items()}, sign)
+        excluded = outliers(
+            {name: of_name["final_reward"].to_numpy() for name, of_name in by_name.items()}, sign
+        )
         for name, of_name in by_name.items():
             colour, spent = styles[name]["color"], of_name[cost] * factor
             marker = _MARKERS[_LINE_STYLES.index(styles[name]["linestyle"])]
             ring: dict[str, Any] = {"s": 70, "facecolors": "none", "edgecolors": colour, "linewidths": 2}
             ring["marker"] = marker
-            mean = (spent.mean(), of_name["score"].mean())
+            mean = (spent.mean(), of_name["final_reward"].mean())
             if name in excluded:
                 axes.scatter([], [], label=f"{name} (off scale: {_four_digits(mean[1])})", **ring)
                 continue
-            axes.scatter(spent, of_name["score"], s=18, color=colour, alpha=0.6, linewidths=0, marker=marker)
+            axes.scatter(
+                spent, of_name["final_reward"], s=18, color=colour, alpha=0.6, linewidths=0, marker=marker
+            )
             axes.scatter(*mean, label=name, **ring)
         if len(tasks) > 1:
             axes.set_title(task, loc="left", fontsize="medium")

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Never
 
 from headway.config.schema import suggestion
 from headway.contracts import HeadwayError
@@ -60,14 +60,17 @@ def select(
     run_id: Filter = None,
     seed: int | Sequence[int] | None = None,
     newest: bool = False,
+    **others: Never,
 ) -> "RunSelection":
     """Select the runs in the store at `root` that pass all filters, oldest first.
 
     A filter is one value or several; `newest`: keep only the run of each cell and seed that started last.
 
-    Raises HeadwayError if there is no store, or if no run has a given value (except for `status` and `seed`,
-    which may match no run).
+    Raises HeadwayError for an unknown filter, if there is no store, or if no run has a given value (except
+    for `status` and `seed`, which may match no run).
     """
+    for name in others:
+        raise HeadwayError(f"select has no filter {name!r}; {suggestion(name, select.__kwdefaults__ or ())}")
     folder = Path(root)
     if not folder.is_dir():
         raise HeadwayError(f"there is no store in {str(root)!r}")

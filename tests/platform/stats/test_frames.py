@@ -11,7 +11,7 @@ from headway.stats.scores import normalised
 
 def scores(**by_controller: dict[str, list[float]]) -> pd.DataFrame:
     rows = [
-        {"controller": controller, "task": task, "score": score}
+        {"controller": controller, "task": task, "final_reward": score}
         for controller, tasks in by_controller.items()
         for task, values in tasks.items()
         for score in values
@@ -36,6 +36,13 @@ def test_both_areas_of_a_curve_by_hand() -> None:
     assert found["auc_own"].tolist() == [0.75, 0.75]
     assert found["auc_study"].tolist() == [0.75, 0.375]
     assert found["final_reward"].tolist() == [10, 5]
+
+
+def test_statistics_take_the_metrics_of_curves() -> None:
+    found = frames.curve_metrics(curves(a_0=[0, 4], a_1=[0, 6], b_0=[0, 5], b_1=[0, 8]))
+    assert frames.summary(found)["mean"].to_dict() == {"a": 5, "b": 6.5}
+    assert frames.improvements(found)["probability"].tolist() == [0.25, 0.75]
+    assert set(frames.profiles(found)["controller"]) == {"a", "b"}
 
 
 def test_areas_of_constant_curves_are_half() -> None:
@@ -129,10 +136,10 @@ def test_costs_are_of_measured_runs_only() -> None:
 
 def test_normalised_scores_are_0_for_random_play_and_1_for_the_best_rule() -> None:
     frame = scores(a={"bus": [-100.0, 300.0], "merge": [5.0]})
-    found = frames.normalised_by_rules(frame, "score", {"bus": (-100, 100), "merge": (0, 10)})
-    assert found["score"].tolist() == [0, 2, 0.5]
+    found = frames.normalised_by_rules(frame, "final_reward", {"bus": (-100, 100), "merge": (0, 10)})
+    assert found["final_reward"].tolist() == [0, 2, 0.5]
     with pytest.raises(ValueError, match="are unknown for merge"):
-        frames.normalised_by_rules(frame, "score", {"bus": (-100, 100)})
+        frames.normalised_by_rules(frame, "final_reward", {"bus": (-100, 100)})
     with pytest.raises(ValueError, match="must score above random play"):
         normalised(1.0, 3.0, 3.0)
 

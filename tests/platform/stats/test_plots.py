@@ -86,7 +86,7 @@ def test_plots_of_twelve_cells_with_long_names_are_readable(kind: str) -> None:
         units = {"kg_co2": ("mg", 1e6), "kwh": ("mWh", 1e6)}
         figure = footprint(pd.DataFrame(1e-6, index=names, columns=FOOTPRINT), units)
     elif kind == "cost":
-        runs = pd.DataFrame({"task": "t", "controller": names, "score": 1.0, "kwh": range(12)})
+        runs = pd.DataFrame({"task": "t", "controller": names, "final_reward": 1.0, "kwh": range(12)})
         figure = reward_against_cost(runs, "kwh", 1.0, ("kWh a run", "final reward"), styles)
     else:
         parts = pd.DataFrame({f"part_{part}": (-1.0) ** part for part in range(8)}, index=names)
@@ -96,7 +96,7 @@ def test_plots_of_twelve_cells_with_long_names_are_readable(kind: str) -> None:
 
 @pytest.mark.parametrize(("costs", "least"), [((2.70, 2.73), 0.27), ((1.0, 3.0), 2.0), ((0.0, 0.0), 0.0)])
 def test_equal_costs_do_not_fill_the_axis(costs: tuple[float, float], least: float) -> None:
-    runs = pd.DataFrame({"task": "t", "controller": ["a", "b"], "score": 1.0, "kwh": costs})
+    runs = pd.DataFrame({"task": "t", "controller": ["a", "b"], "final_reward": 1.0, "kwh": costs})
     [axes] = reward_against_cost(runs, "kwh", 1.0, ("kWh", "reward"), colours(["a", "b"])).axes
     low, high = axes.get_xlim()
     assert high - low >= least
