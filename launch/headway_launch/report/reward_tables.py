@@ -284,7 +284,9 @@ def _improvements(data: StudyData, signed: pd.DataFrame) -> list[Part]:
         "ties counted as one half; 0.5 means no difference.",
         Table(
             "probability_of_improvement",
-            "Probability of improvement, row over column, with 95% intervals by the stratified bootstrap.",
+            "Probability of improvement, row over column, with 95% intervals by the stratified bootstrap. "
+            "There is no interval where all resamples agree, as where every seed of one scores better than "
+            "every seed of the other: the bootstrap cannot tell how uncertain that is.",
             ["better than", *names],
             rows,
             found,

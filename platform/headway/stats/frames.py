@@ -131,7 +131,8 @@ def improvements(scores: pd.DataFrame) -> pd.DataFrame:
 
     Columns: `a`, `b`, `probability` that a run of `a` scores above a run of `b`, and `low` and `high`, the
     ends of its 95% interval. A task is common if both have several runs on it; pairs without one are left
-    out.
+    out. The interval is NaN if it would be a point, as where every run of one controller scores above every
+    run of the other: all resamples are then alike, however few the runs, which would look like certainty.
     """
     by_controller = {
         str(controller): _by_task(of_controller)
@@ -145,7 +146,8 @@ def improvements(scores: pd.DataFrame) -> pd.DataFrame:
             continue
         left, right = ([of_tasks[task] for task in common] for of_tasks in pair)
         found = probability_of_improvement(left, right)
-        rows.append({"a": a, "b": b, "probability": found.estimate, "low": found.low, "high": found.high})
+        low, high = (found.low, found.high) if found.low < found.high else (np.nan, np.nan)
+        rows.append({"a": a, "b": b, "probability": found.estimate, "low": low, "high": high})
     return pd.DataFrame(rows, columns=["a", "b", "probability", "low", "high"])
 
 

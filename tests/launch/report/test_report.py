@@ -126,8 +126,10 @@ def test_both_reward_sections_show_the_stored_values(two: Two) -> None:
     assert found == pytest.approx([expected.estimate, expected.low, expected.high])
     assert sound.loc["rule random", "minus_best_rule"] == -30
     assert "no claim (worse)" in text_of(report)
-    chances = table(report, "probability_of_improvement").set_index(["a", "b"])["probability"]
-    assert chances["ippo", "ia2c"] == 1.0
+    chances = table(report, "probability_of_improvement").set_index(["a", "b"]).loc[("ippo", "ia2c")]
+    assert chances["probability"] == 1.0
+    assert chances[["low", "high"]].isna().all()
+    assert report_table(report, "probability_of_improvement").rows[1][1] == "1.000"
 
 
 def test_every_result_of_the_summary_names_its_episodes(two: Two, keep_run: Keep, root: Path) -> None:

@@ -110,6 +110,20 @@ def test_improvements_are_over_common_tasks_and_pairs_sum_to_one() -> None:
     assert set(chance.index) == {("a", "b"), ("b", "a")}  # b has one run on merge
 
 
+def test_runs_of_which_all_resamples_agree_have_no_interval_of_improvement() -> None:
+    above, below, mixed = [4.0, 5.0, 6.0], [1.0, 2.0, 3.0], [0.0, 7.0, 2.5]
+    found = frames.improvements(scores(a={"bus": above}, b={"bus": below}, c={"bus": mixed}))
+    known = found.set_index(["a", "b"])[["low", "high"]].notna().all(axis="columns")
+    assert {pair for pair, interval in known.items() if not interval} == {("a", "b"), ("b", "a")}
+    assert found["probability"].tolist()[0] == 1
+    # On two tasks one that is undecided is enough.
+    both = frames.improvements(scores(a={"bus": above, "merge": mixed}, b={"bus": below, "merge": above}))
+    assert (both["low"] < both["high"]).all()
+    alike = frames.improvements(scores(a={"bus": [2.0, 2.0]}, b={"bus": [2.0, 2.0]}))
+    assert alike["probability"].tolist() == [0.5, 0.5]
+    assert alike["low"].isna().all()
+
+
 def test_efficiency_needs_common_steps() -> None:
     two_tasks = pd.concat([curves(a_0=[0, 1, 5]), curves(a_1=[4]).assign(task="merge")])
     found = frames.efficiency(two_tasks)
