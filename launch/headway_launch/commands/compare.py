@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.stats.comparison import metric_values
+from headway.stats.pairs import PairRow, pair_rows
 from headway_launch.commands.arguments import (
     OTHER_EVALUATION_SEED,
     add_best_argument,
@@ -34,7 +35,7 @@ from headway_launch.report.elements import Table
 from headway_launch.report.latex_table import latex_table
 from headway_launch.report.markdown_page import markdown_table
 from headway_launch.runner.comparison import Comparison
-from headway_launch.studies.learner_pairs import PairRow, pair_rows, pairs_note
+from headway_launch.studies.learner_pairs import pairs_note
 
 if TYPE_CHECKING:
     from headway_launch.studies.compared_learners import ComparedLearners

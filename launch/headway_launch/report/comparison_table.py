@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
+from headway.stats.pairs import PairRow
 from headway_launch.console.number_formats import MISSING, with_interval
 from headway_launch.console.tables import Value
 from headway_launch.report.elements import Table
 from headway_launch.runner.comparison import Comparison
-from headway_launch.studies.learner_pairs import PairRow, pairs_note
+from headway_launch.studies.learner_pairs import needed, p_texts, pairs_note
 
 PAIR_COLUMNS = (
     *("metric", "learner", "minus learner", "difference", "95% low", "95% high"),
@@ -31,7 +32,7 @@ def records(found: Comparison, pairs: Sequence[PairRow] = ()) -> list[dict[str, 
         compared = (
             *means[pair.metric, pair.a][:4],
             *(pair.b, interval.estimate, interval.low, interval.high, interval.method),
-            *(pair.difference.p_value, pair.corrected_p, pair.needed),
+            *(pair.difference.p_value, pair.corrected_p, needed(pair)),
         )
         listed.append(dict(zip(RECORD_COLUMNS, compared, strict=True)))
     return listed
@@ -40,7 +41,7 @@ def records(found: Comparison, pairs: Sequence[PairRow] = ()) -> list[dict[str, 
 def pair_values(pair: PairRow) -> tuple[Value, ...]:
     """Return the values of `PAIR_COLUMNS`."""
     found = pair.difference.interval
-    return (*pair[:3], found.estimate, found.low, found.high, *pair.p_texts, pair.needed)
+    return (*pair[:3], found.estimate, found.low, found.high, *p_texts(pair), needed(pair))
 
 
 def comparison_table(comparison: Comparison, note: str = "") -> Table:
@@ -69,8 +70,8 @@ def pairs_table(pairs: Sequence[PairRow], name: str, caption: str) -> Table:
     for pair in pairs:
         found = pair.difference.interval
         shown = with_interval(found.estimate, found.low, found.high, sign="+")
-        needed = MISSING if pair.needed is None else str(pair.needed)
-        cells.append([pair.a, pair.b, shown, *pair.p_texts, needed])
+        seeds = needed(pair)
+        cells.append([pair.a, pair.b, shown, *p_texts(pair), MISSING if seeds is None else str(seeds)])
         exact.append(
             {
                 "controller": pair.a,

@@ -4,7 +4,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,13 +15,13 @@ from headway.contracts.errors import HeadwayError
 from headway.events import LABELS
 from headway.stats import frames, plots
 from headway.stats.comparison import SEEDS_FOR_A_CLAIM, difference
+from headway.stats.pairs import PairRow
 from headway.stats.samples import Interval, MeanStd, mean_std
 from headway.store.query import LABELS as RUN_LABELS
 from headway.store.query import RunSelection
 from headway.wording import counted, readable_metric
 from headway_launch.experiments.parameters import flat
 from headway_launch.runner.comparison import gap_lines
-from headway_launch.studies.learner_pairs import PairRow, pair_rows
 from headway_launch.studies.runs import (
     common_mode,
     configuration,
@@ -366,18 +365,7 @@ class StudyData:
         if self._several_roots(task):
             return []
         learned = {name: self.by_seed(task, name, self.column) for name in self.on(task)}
-        if any(episodes.empty for episodes in learned.values()):
-            return []
-        whole = {name: episodes.dropna(axis="columns") for name, episodes in learned.items()}
-        common = [
-            seed
-            for seed in next(iter(whole.values())).columns
-            if all(seed in episodes.columns for episodes in whole.values())
-        ]
-        if len(common) < 2:
-            return []
-        values = {name: episodes[common].to_numpy().tolist() for name, episodes in whole.items()}
-        return pair_rows(self.column, values, combinations(values, 2))
+        return frames.pairs_on_common_episodes(self.column, learned)
 
     def _several_roots(self, task: str) -> bool:
         """Whether the evaluations of a task's runs had different episodes."""

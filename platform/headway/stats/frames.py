@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from headway.stats.curves import auc, final_reward, value_range
 from headway.stats.intervals import mean_and_half_width
-from headway.stats.pairs import holm
+from headway.stats.pairs import PairRow, holm, pair_rows
 from headway.stats.ranks import ranks, signed_rank_p_value
 from headway.stats.samples import mean_std
 from headway.stats.scores import (
@@ -149,6 +149,51 @@ def improvements(scores: pd.DataFrame) -> pd.DataFrame:
         low, high = (found.low, found.high) if found.low < found.high else (np.nan, np.nan)
         rows.append({"a": a, "b": b, "probability": found.estimate, "low": low, "high": high})
     return pd.DataFrame(rows, columns=["a", "b", "probability", "low", "high"])
+
+
+def learner_pairs(episodes: pd.DataFrame, metric: str = "return") -> pd.DataFrame:
+    """Return the comparison of each pair of controllers of a task on common episodes, as `headway compare`.
+
+    `episodes`: `RunSelection.evaluations` of one mode with `final=True`, of runs with the same
+    `evaluation.seed`, so that an `episode_seed` is the same episode for all. Columns: `task`, `a`, `b`; the
+    mean `difference` of the metric, a minus b, and `low` and `high`, the ends of its 95% interval over the
+    seeds of both and the episodes; `p` and `p_holm`, corrected for the number of pairs of the task; and
+    `seeds_needed` per controller to show such a difference (see `LearnerDifference`). Tasks with fewer than
+    two common episodes are left out. Raises ValueError for an episode that a run has several times.
+    """
+    if episodes.duplicated(["run_id", "episode_seed"]).any():
+        raise ValueError("a run has an episode several times: take evaluations(mode=..., final=True)")
+    rows = []
+    for task, of_task in episodes.groupby("task", sort=False):
+        learned = {
+            str(controller): played.pivot_table(index="run_id", columns="episode_seed", values=metric)
+            for controller, played in of_task.groupby("controller", sort=False)
+        }
+        for pair in pairs_on_common_episodes(metric, learned):
+            found = pair.difference.interval
+            ends = {"difference": found.estimate, "low": found.low, "high": found.high}
+            p_values = {"p": pair.difference.p_value, "p_holm": pair.corrected_p}
+            needed = {"seeds_needed": pair.seeds_needed}
+            rows.append({"task": task, "a": pair.a, "b": pair.b, **ends, **p_values, **needed})
+    columns = ["task", "a", "b", "difference", "low", "high", "p", "p_holm", "seeds_needed"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def pairs_on_common_episodes(metric: str, learned: Mapping[str, pd.DataFrame]) -> list[PairRow]:
+    """Compare each pair of learners on the episodes that all of them have; none if these are fewer than two.
+
+    `learned`: values of a metric, runs x episode seeds.
+    """
+    whole = {name: episodes.dropna(axis="columns") for name, episodes in learned.items()}
+    common = [
+        seed
+        for seed in next(iter(whole.values())).columns
+        if all(seed in episodes.columns for episodes in whole.values())
+    ]
+    if len(common) < 2:
+        return []
+    values = {name: episodes[common].to_numpy().tolist() for name, episodes in whole.items()}
+    return pair_rows(metric, values, combinations(values, 2))
 
 
 def rank_table(scores: pd.DataFrame) -> pd.DataFrame:

@@ -5,7 +5,9 @@ test procedure", Scandinavian Journal of Statistics 6; Colas et al. 2018, "How M
 Power Analysis in Deep Reinforcement Learning Experiments", arXiv:1806.08295.
 """
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -156,6 +158,36 @@ def holm(p_values: ArrayLike) -> NDArray[np.float64]:
     adjusted = np.empty_like(values)
     adjusted[order] = np.minimum(steps, 1.0)
     return adjusted
+
+
+class PairRow(NamedTuple):
+    """One metric of two learners on the same episodes."""
+
+    metric: str
+    a: str
+    b: str
+    difference: LearnerDifference
+    """a minus b."""
+    corrected_p: float
+    """Its p-value, corrected by Holm for the number of pairs."""
+    seeds_needed: float
+    """See `LearnerDifference.seeds_needed`, with the significance of one of as many tests as pairs."""
+
+
+def pair_rows(
+    metric: str,
+    learners: Mapping[str, Sequence[Sequence[float]]],
+    pairs: Iterable[tuple[str, str]],
+) -> list[PairRow]:
+    """Compare pairs of `learners`, each with its values of a metric (seeds x episodes); the pairs are one
+    family of hypotheses."""
+    found = {(a, b): LearnerDifference.of(learners[a], learners[b]) for a, b in pairs}
+    corrected = holm([each.p_value for each in found.values()])
+    significance = (1 - CONFIDENCE) / max(len(found), 1)
+    return [
+        PairRow(metric, *pair, each, float(p_value), each.seeds_needed(significance))
+        for (pair, each), p_value in zip(found.items(), corrected, strict=True)
+    ]
 
 
 def _variance(values: NDArray[np.float64]) -> float:

@@ -6,9 +6,9 @@ import pytest
 
 from headway.events import Row
 from headway.stats.comparison import ComparisonRow
+from headway.stats.pairs import pair_rows
 from headway_launch.report.comparison_table import comparison_table, records
 from headway_launch.runner.comparison import Comparison
-from headway_launch.studies.learner_pairs import pair_rows
 
 
 def test_differences_have_a_sign_and_zero_is_never_negative() -> None:

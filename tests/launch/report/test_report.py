@@ -18,6 +18,7 @@ from matplotlib.axes import Axes
 from sections import section_of, tables, words
 
 from headway.contracts.errors import HeadwayError
+from headway.stats import frames
 from headway.stats.intervals import paired_difference_over_seeds
 from headway.stats.pairs import LearnerDifference
 from headway.store.atomic_files import write_json
@@ -507,6 +508,11 @@ def test_learners_are_compared_in_pairs_by_their_seeds_and_common_episodes(two: 
     )
     assert row["p"] == row["p_holm"] == pytest.approx(expected.p_value)
     assert row["seeds_needed"] == expected.seeds_needed()
+    runs = StudyData(two.root, "study").runs
+    [alike] = frames.learner_pairs(runs.evaluations(["return"], mode="greedy", final=True)).to_dict("records")
+    assert [alike[name] for name in ("p", "p_holm", "seeds_needed")] == [
+        row[name] for name in ("p", "p_holm", "seeds_needed")
+    ]
     assert "p (Holm): of a single pair. Seeds needed: seeds per learner" in text_of(two.report)
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from headway.stats.pairs import LearnerDifference, holm
-from headway_launch.studies.learner_pairs import pair_rows, pairs_note
+from headway.stats.pairs import LearnerDifference, holm, pair_rows
+from headway_launch.studies.learner_pairs import pairs_note
 
 
 def test_pairs_are_one_family_of_hypotheses() -> None:

@@ -6,6 +6,7 @@ import pytest
 
 from headway.stats import frames
 from headway.stats.intervals import mean_and_half_width
+from headway.stats.pairs import LearnerDifference, holm
 from headway.stats.scores import normalised
 
 
@@ -122,6 +123,37 @@ def test_runs_of_which_all_resamples_agree_have_no_interval_of_improvement() -> 
     alike = frames.improvements(scores(a={"bus": [2.0, 2.0]}, b={"bus": [2.0, 2.0]}))
     assert alike["probability"].tolist() == [0.5, 0.5]
     assert alike["low"].isna().all()
+
+
+def test_pairs_of_learners_are_compared_on_their_common_episodes() -> None:
+    played = {
+        "a": [[1.0, 2.0, 4.0], [2.0, 5.0, 3.0]],
+        "b": [[4.0, 6.0, 9.0], [7.0, 5.0, 8.0]],
+        "c": [[1, 2, 9]],
+    }
+    episodes = pd.DataFrame(
+        {"task": "bus", "controller": name, "run_id": f"{name}{run}", "episode_seed": seed, "return": value}
+        for name, runs in played.items()
+        for run, values in enumerate(runs)
+        for seed, value in enumerate(values)
+        if (name, seed) != ("c", 2)
+    )
+    common = {name: np.array(runs)[:, :2] for name, runs in played.items()}
+    found = frames.learner_pairs(episodes).set_index(["a", "b"])
+    assert list(found.index) == [("a", "b"), ("a", "c"), ("b", "c")]
+    expected = [LearnerDifference.of(common[a], common[b]) for a, b in found.index]
+    assert found["difference"].tolist() == [each.estimate for each in expected]
+    assert found["low"].tolist() == [each.interval.low for each in expected]
+    assert (
+        found["p_holm"].tolist()
+        == holm(found["p"]).tolist()
+        == holm([each.p_value for each in expected]).tolist()
+    )
+    assert found["seeds_needed"].tolist()[0] == expected[0].seeds_needed(0.05 / 3)
+    assert found["seeds_needed"].isna().tolist() == [False, True, True]
+    assert frames.learner_pairs(episodes[episodes["episode_seed"] == 0]).empty
+    with pytest.raises(ValueError, match="several times"):
+        frames.learner_pairs(pd.concat([episodes, episodes]))
 
 
 def test_efficiency_needs_common_steps() -> None:
