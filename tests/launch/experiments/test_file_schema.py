@@ -50,7 +50,7 @@ def test_every_file_of_configs_is_accepted(kind: str, file: Path) -> None:
 def test_a_misspelt_key_of_an_experiment_is_refused(name: str) -> None:
     text = (ROOT / "configs" / "experiment" / f"{name}.yaml").read_text(encoding="utf-8")
     variants = dict(misspelt(yaml.safe_load(text)))
-    assert len(variants) > 5
+    assert len(variants) > 2
     accepted = [key for key, changed in variants.items() if validator("experiment").is_valid(changed)]
     # Without a registered environment in the file, its arguments are unknown.
     assert [key for key in accepted if "override /env" in text or not key.startswith("env.args.")] == []
