@@ -86,7 +86,7 @@ def test_an_unknown_value_is_an_error_with_the_nearest_one(root: Path) -> None:
     with pytest.raises(HeadwayError, match=r"has algorithm 'mapo'; did you mean mappo\?"):
         select(root, algorithm="mapo")
     with pytest.raises(HeadwayError, match=r"no filter 'algoritm'; did you mean algorithm\?"):
-        select(root, algoritm="mappo")  # type: ignore[arg-type]
+        select(root, algoritm="mappo")  # type: ignore[arg-type]  # misspelt on purpose
     with pytest.raises(HeadwayError, match="there is no store"):
         select(root / "absent")
     with pytest.raises(HeadwayError, match="status"):

@@ -1,11 +1,11 @@
 """Learning without a critic."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from made_trajectories import DISCRETE, fabricate
+from numpy.typing import NDArray
 from toy_training import mean_return, train_toy
 
 from headway.contracts import Trajectory
@@ -15,7 +15,7 @@ from headway_algos.registry import configure
 GAMMA = 0.9
 
 
-def discounted(made: Trajectory, t: int, c: int, agent: int, ends: Any) -> float:  # noqa: ANN401 - an array
+def discounted(made: Trajectory, t: int, c: int, agent: int, ends: NDArray[np.bool_]) -> float:
     """Return the sum of an agent's discounted rewards from step t to the end of its return."""
     total = 0.0
     for later in range(t, len(made.rewards)):
