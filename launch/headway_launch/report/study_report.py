@@ -18,6 +18,7 @@ from headway_launch.report.reward_tables import (
     improvement_section,
     interquartile_section,
 )
+from headway_launch.report.setting_section import setting_section
 from headway_launch.report.setup_section import setup_section
 from headway_launch.report.study_data import StudyData
 
@@ -35,6 +36,7 @@ def report_of(data: StudyData, command: str) -> Report:
         absolute_metric_section(data),
         improvement_section(data),
         curves_section(data),
+        setting_section(data),
         across_environments(data),
         episode_metrics_section(data),
         energy_section(data),

@@ -218,11 +218,12 @@ def _plot_curve(
     style: Mapping[str, Any],
     shaded: bool,
     remark: str = "",
+    across: str = "env_steps",
 ) -> None:
     """Plot a controller's line and its interval, if it has enough seeds: as a band or by its outlines."""
     seeds = int(curve["runs"].iloc[0]) if "runs" in curve else FEWEST_SEEDS
     runs = f" ({counted(seeds, 'seed')})" if "runs" in curve else ""
-    steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
+    steps, middle = curve[across].to_numpy(), curve[column].to_numpy()
     axes.plot(
         steps, middle, label=f"{name}{runs}{remark}", linewidth=1.6, **_point_markers(len(steps)), **style
     )
@@ -232,6 +233,30 @@ def _plot_curve(
             axes.fill_between(steps, *ends, color=style["color"], alpha=_SHADE, linewidth=0)
         for end in () if shaded else ends:
             axes.plot(steps, end, linewidth=0.6, alpha=0.6, **style)
+
+
+def by_setting(
+    points: "pd.DataFrame", setting: str, label: str, styles: Mapping[str, Mapping[str, Any]]
+) -> "Figure":
+    """Plot results by the value of a setting, one panel per `group`.
+
+    `points`: columns `group`, `controller`, `setting` (the value), `runs` (0 for a rule), `mean`, `low` and
+    `high`, the ends of the interval over runs.
+    """
+    groups = list(dict.fromkeys(points["group"]))
+    figure = _figure(3.9 * len(groups))
+    panels = figure.subplots(len(groups), squeeze=False, sharex=True)[:, 0]
+    for group, axes in zip(groups, panels, strict=True):
+        for name, curve in points[points["group"] == group].groupby("controller", sort=False):
+            if curve["runs"].iloc[0]:
+                _plot_curve(axes, str(name), curve, "mean", styles[str(name)], shaded=True, across="setting")
+            else:
+                axes.plot(curve["setting"], curve["mean"], label=name, **styles[str(name)])
+        _style_axes(axes, setting if group == groups[-1] else "", label)
+        axes.yaxis.set_major_formatter(_THOUSANDS)
+        axes.set_title(group, loc="left", fontsize="medium")
+    label_ends(figure, list(panels))
+    return figure
 
 
 def _bound_bands(axes: "Axes", middles: "NDArray[np.floating[Any]]") -> None:

@@ -1,0 +1,68 @@
+"""Results by the value of a swept setting of the environment."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from sections import section_of, tables
+
+from headway_launch.report.elements import Picture
+from headway_launch.report.setting_section import setting_section
+from headway_launch.report.study_data import StudyData
+
+Keep = Callable[..., Path]
+
+
+def keep_swept(keep_run: Keep, key: str, values: tuple[float, ...], *more: str, above: float = 0.0) -> None:
+    """Store three seeds per value, whose returns are twice the value plus the seed; rules return 1 and 3."""
+    for value in values:
+        for seed in range(3):
+            overrides = ("experiment=toy_tracking", f"env.args.{key}={value}", *more)
+            keep_run(overrides, seed, above + 2 * value + seed, rules={"random": 1.0, "optimal": 3.0})
+
+
+def test_rows_have_the_mean_of_each_value_and_the_difference_from_its_best_rule(
+    keep_run: Keep, root: Path
+) -> None:
+    keep_swept(keep_run, "agents", (4, 2, 1))
+    table = tables(section_of(root, setting_section))["by_setting"]
+    assert table.headings == ["agents", "ippo", "ippo minus best rule [95%]", "rule optimal", "rule random"]
+    # Seeds 0 to 2 add 1 on average, episodes 0 to 3 add 1.5. Seeds differ by 1: Student's t with two degrees
+    # of freedom is 4.303, so that the interval is 4.303 / sqrt(3) = 2.5 to either side.
+    assert table.rows == [
+        ["1", "4.500", "+0.0 [-2.5, 2.5]", "4.500", "2.500"],
+        ["2", "6.500", "+2.0 [-0.5, 4.5]", "4.500", "2.500"],
+        ["4", "10.50", "+6.0 [3.5, 8.5]", "4.500", "2.500"],
+    ]
+    of_learner = table.exact.set_index("controller").loc["ippo"]
+    assert (of_learner["high"] - of_learner["mean"]).tolist() == pytest.approx([2.484] * 3, abs=1e-3)
+
+
+def test_other_settings_that_differ_get_tables_and_panels_of_their_own(keep_run: Keep, root: Path) -> None:
+    for above, noise in ((0.0, 0.01), (100.0, 0.05)):
+        keep_swept(keep_run, "agents", (1, 2, 3), f"env.args.noise={noise}", above=above)
+    section = section_of(root, setting_section)
+    captions = [table.caption.partition(". ")[0] for table in tables(section).values()]
+    assert [caption.partition(", ")[2] for caption in captions] == [
+        "env.args.noise=0.01",
+        "env.args.noise=0.05",
+    ]
+    assert [[row[1] for row in table.rows] for table in tables(section).values()] == [
+        ["4.500", "6.500", "8.500"],
+        ["104.5", "106.5", "108.5"],
+    ]
+    [picture] = [part for part in section.body if isinstance(part, Picture)]
+    lines = [
+        {line.get_label(): line.get_xydata().tolist() for line in axes.lines} for axes in picture.figure.axes
+    ]
+    assert [panel["ippo (3 seeds)"] for panel in lines] == [
+        [[1, 4.5], [2, 6.5], [3, 8.5]],
+        [[1, 104.5], [2, 106.5], [3, 108.5]],
+    ]
+    assert [panel["rule optimal"] for panel in lines] == [[[1, 4.5], [2, 4.5], [3, 4.5]]] * 2
+
+
+def test_two_values_are_no_sweep(keep_run: Keep, root: Path) -> None:
+    keep_swept(keep_run, "agents", (1, 2), "env.args.noise=0.01")
+    keep_swept(keep_run, "agents", (3,), "env.args.noise=0.05")
+    assert setting_section(StudyData(root, "study")) is None
