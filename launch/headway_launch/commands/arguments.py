@@ -3,7 +3,7 @@
 import argparse
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from headway.config.experiment import StoreConfig
@@ -67,6 +67,11 @@ def add_where_argument(parser: argparse.ArgumentParser) -> None:
         metavar="CONDITION",
         help="only runs for which this holds, such as 'final_reward>300'; repeatable",
     )
+
+
+def add_format_argument(parser: argparse.ArgumentParser, formats: Collection[str]) -> None:
+    """Add --format, shared by the commands that print tables."""
+    parser.add_argument("--format", choices=formats, default="table", help="output format (default: table)")
 
 
 def add_best_argument(parser: argparse.ArgumentParser) -> None:

@@ -1,41 +1,26 @@
 """`headway compare`: compare the cells of studies and the classical rules on the same episodes."""
 
 import argparse
-import csv
-import json
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
 from headway.stats.comparison import metric_values
-from headway.stats.pairs import PairRow, pair_rows
+from headway.stats.pairs import pair_rows
 from headway_launch.commands.arguments import (
     OTHER_EVALUATION_SEED,
     add_best_argument,
     add_config_dir_argument,
+    add_format_argument,
     add_store_argument,
     add_where_argument,
     named_studies,
     typed_line,
     without_folders,
 )
-from headway_launch.console.tables import print_table
-from headway_launch.report.comparison_table import (
-    PAIR_COLUMNS,
-    RECORD_COLUMNS,
-    comparison_table,
-    pair_values,
-    pairs_table,
-    records,
-)
-from headway_launch.report.elements import Table
-from headway_launch.report.latex_table import latex_table
-from headway_launch.report.markdown_page import markdown_table
+from headway_launch.report.comparison_table import COMPARISON_FORMATS
 from headway_launch.runner.comparison import Comparison
-from headway_launch.studies.learner_pairs import pairs_note
 
 if TYPE_CHECKING:
     from headway_launch.studies.compared_learners import ComparedLearners
@@ -95,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--metrics", default="return", help="metrics to compare, comma-separated (default: return)"
     )
-    parser.add_argument("--format", choices=_FORMATS, default="table", help="output format (default: table)")
+    add_format_argument(parser, COMPARISON_FORMATS)
     add_where_argument(parser)
     add_config_dir_argument(parser)
     add_store_argument(parser)
@@ -168,7 +153,7 @@ def execute(arguments: argparse.Namespace) -> int:
         {label: [metric_values(of_seed, metrics[0]) for of_seed in played[label]] for label in played},
         subject.pairs(which),
     )
-    _FORMATS[arguments.format](comparison, pairs, typed_line(arguments))
+    COMPARISON_FORMATS[arguments.format](comparison, pairs, typed_line(arguments))
     for label, members in cells.items():
         folders = [run.directory for run in members]
         if line := start_line(label, members[0].store, folders, f"evaluation_{arguments.mode}/return"):
@@ -228,42 +213,3 @@ def _metrics(names: str, known: Sequence[str]) -> tuple[str, ...]:
     if not wanted:
         raise HeadwayError("--metrics is empty; give at least one, such as --metrics return")
     return wanted
-
-
-def _print_tables(found: Comparison, pairs: Sequence[PairRow], line: str) -> None:
-    from headway_launch.console.output import print_line
-
-    found.show()
-    if pairs:
-        if sys.stdout.isatty():
-            table = pairs_table(pairs, "pairs", "")
-            print_table(table.headings, table.rows, title="pairs of learners")
-        else:
-            print_table(PAIR_COLUMNS, list(map(pair_values, pairs)))
-        print_line(pairs_note(pairs))
-
-
-def _page_tables(found: Comparison, pairs: Sequence[PairRow], note: str = "") -> list[Table]:
-    """Return the tables for a page or a paper; `note`: end of their captions."""
-    tables = [comparison_table(found, note)]
-    if pairs:
-        caption = f"{found.title}. Differences between learners, {found.metrics[pairs[0].metric]}"
-        table = pairs_table(pairs, "pairs", caption)
-        tables.append(replace(table, caption=table.caption + note))
-    return tables
-
-
-_FORMATS: Mapping[str, Callable[[Comparison, Sequence[PairRow], str], None]] = {
-    "table": _print_tables,
-    "json": lambda found, pairs, _: print(json.dumps(records(found, pairs), indent=1)),
-    "csv": lambda found, pairs, _: csv.writer(sys.stdout, lineterminator="\n").writerows(
-        [RECORD_COLUMNS, *(record.values() for record in records(found, pairs))]
-    ),
-    "markdown": lambda found, pairs, line: print(
-        "\n\n".join(map(markdown_table, _page_tables(found, pairs, f" Written by `{line}`.")))
-    ),
-    "latex": lambda found, pairs, line: print(
-        "\n".join(latex_table(table, line) for table in _page_tables(found, pairs)), end=""
-    ),
-}
-"""Printers by the value of --format, of a comparison, and of pairs of learners, made by a command line."""

@@ -7,9 +7,12 @@ from headway.wording import counted
 from headway_launch.commands.arguments import (
     OTHER_EVALUATION_SEED,
     add_best_argument,
+    add_format_argument,
     add_store_argument,
     existing_store,
+    typed_line,
 )
+from headway_launch.report.comparison_table import COMPARISON_FORMATS
 
 EXAMPLES = """\
 examples:
@@ -17,12 +20,14 @@ examples:
   headway evaluate RUN --episodes 100 --seed 5     other episodes
   headway evaluate RUN env.args.scenario=corridor  the same policy elsewhere (zero-shot transfer)
   headway evaluate RUN --best                      the best policy of the training instead of the newest
+  headway evaluate RUN --format json               all digits; also csv, and markdown or latex for a page
   headway evaluate RUN --mode sampled --rules always_move,headway_holding_0.9
 
 env.args.KEY=VALUE changes the environment for the policy and the rules alike; observations and actions must
 keep their shapes. Differences are of the return, controller minus best rule, paired by episode, with 95%
 intervals over episodes. The other columns are the environment's first metrics (`headway list metrics
-ENVIRONMENT`); `headway compare STUDY --metrics NAME,NAME` shows any.
+ENVIRONMENT`); `headway compare STUDY --metrics NAME,NAME` shows any. The formats are those of `compare`: csv
+and json have all digits.
 """
 
 
@@ -48,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_best_argument(parser)
     parser.add_argument("--rules", help="rules to evaluate, comma-separated (default: all that can run)")
+    add_format_argument(parser, COMPARISON_FORMATS)
     add_store_argument(parser)
 
 
@@ -90,6 +96,6 @@ def execute(arguments: argparse.Namespace) -> int:
         played = rule_episodes(experiment, found.prepared, rules, root, episodes, progress)
     title = f"{run.record.run_id}: {counted(episodes, 'episode')} of {found.spec.name}, {arguments.mode}"
     comparison = Comparison.of(title, found.entry.metrics, played, {name: [learned]})
-    comparison.show()
+    COMPARISON_FORMATS[arguments.format](comparison, (), typed_line(arguments))
     print_findings(comparison, {name: [learned]}, played)
     return 0

@@ -9,7 +9,12 @@ from headway.config.schema import parse_seeds, suggestion
 from headway.contracts.errors import HeadwayError
 from headway.store.index import RunIndex, RunRow
 from headway.store.run_folder import STATUSES
-from headway_launch.commands.arguments import add_store_argument, add_where_argument, existing_store
+from headway_launch.commands.arguments import (
+    add_format_argument,
+    add_store_argument,
+    add_where_argument,
+    existing_store,
+)
 from headway_launch.console.tables import Value, print_table
 from headway_launch.runner.results import AUC_HEADING, CO2_HEADING
 
@@ -79,9 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--columns", metavar="NAMES", help="fields and parameters to show, such as run_id,algo.lr"
     )
-    parser.add_argument(
-        "--format", choices=("table", "json", "csv"), default="table", help="output format (default: table)"
-    )
+    add_format_argument(parser, ("table", "json", "csv"))
     add_store_argument(parser)
 
 

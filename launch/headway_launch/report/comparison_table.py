@@ -1,11 +1,19 @@
-"""Comparisons of learners with rules and with each other, and their tables for a page or a paper."""
+"""Comparisons of learners with rules and with each other: tables for a page or a paper, and all formats in
+which commands print them."""
 
-from collections.abc import Sequence
+import csv
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from headway.stats.pairs import PairRow
 from headway_launch.console.number_formats import MISSING, with_interval
-from headway_launch.console.tables import Value
+from headway_launch.console.output import print_line
+from headway_launch.console.tables import Value, print_table
 from headway_launch.report.elements import Table
+from headway_launch.report.latex_table import latex_table
+from headway_launch.report.markdown_page import markdown_table
 from headway_launch.runner.comparison import Comparison
 from headway_launch.studies.learner_pairs import needed, p_texts, pairs_note
 
@@ -51,11 +59,14 @@ def comparison_table(comparison: Comparison, note: str = "") -> Table:
     """
     cells = comparison.cells
     learners = sum(not name.startswith("rule ") for name in comparison.controllers)
+    differences = (
+        f" Differences from the rule `{comparison.reference}`, paired by episode, with 95% intervals "
+        "(Student's t). Intervals of several seeds cover the variation between seeds and between episodes, "
+        "those of one seed or of a rule only that between episodes."
+    )
     return Table(
         "comparison",
-        f"{comparison.title}. Differences from the rule `{comparison.reference}`, paired by episode, with "
-        "95% intervals (Student's t). Intervals of several seeds cover the variation between seeds and "
-        "between episodes, those of one seed or of a rule only that between episodes." + note,
+        f"{comparison.title}.{differences if comparison.reference else ''}{note}",
         comparison.headings,
         cells,
         emphasised=frozenset(range(learners, len(cells))),
@@ -88,3 +99,40 @@ def pairs_table(pairs: Sequence[PairRow], name: str, caption: str) -> Table:
     headings = ["controller", "minus", "difference [95%]", "p", "p (Holm)", "seeds needed"]
     caption = f"{caption}. {pairs_note(pairs)}."
     return Table(name, caption, headings, cells, pd.DataFrame(exact), words=frozenset({0, 1}))
+
+
+def _print_tables(found: Comparison, pairs: Sequence[PairRow], line: str) -> None:
+    found.show()
+    if pairs:
+        if sys.stdout.isatty():
+            table = pairs_table(pairs, "pairs", "")
+            print_table(table.headings, table.rows, title="pairs of learners")
+        else:
+            print_table(PAIR_COLUMNS, list(map(pair_values, pairs)))
+        print_line(pairs_note(pairs))
+
+
+def _page_tables(found: Comparison, pairs: Sequence[PairRow], note: str = "") -> list[Table]:
+    """Return the tables for a page or a paper; `note`: end of their captions."""
+    tables = [comparison_table(found, note)]
+    if pairs:
+        caption = f"{found.title}. Differences between learners, {found.metrics[pairs[0].metric]}"
+        table = pairs_table(pairs, "pairs", caption)
+        tables.append(replace(table, caption=table.caption + note))
+    return tables
+
+
+COMPARISON_FORMATS: Mapping[str, Callable[[Comparison, Sequence[PairRow], str], None]] = {
+    "table": _print_tables,
+    "json": lambda found, pairs, _: print(json.dumps(records(found, pairs), indent=1)),
+    "csv": lambda found, pairs, _: csv.writer(sys.stdout, lineterminator="\n").writerows(
+        [RECORD_COLUMNS, *(record.values() for record in records(found, pairs))]
+    ),
+    "markdown": lambda found, pairs, line: print(
+        "\n\n".join(map(markdown_table, _page_tables(found, pairs, f" Written by `{line}`.")))
+    ),
+    "latex": lambda found, pairs, line: print(
+        "\n".join(latex_table(table, line) for table in _page_tables(found, pairs)), end=""
+    ),
+}
+"""Printers by the value of --format, of a comparison, and of pairs of learners, made by a command line."""

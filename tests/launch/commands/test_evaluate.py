@@ -1,9 +1,12 @@
-"""`headway evaluate` on an environment with other arguments than the run was trained with."""
+"""`headway evaluate`: its formats, and environments with other arguments than those of the training."""
 
+import csv
+import json
 from pathlib import Path
 
 import pytest
 from command_lines import output, refused, rows_of
+from kept_policies import keep_run_on
 from shuttle import SHUTTLE
 from small_runs import SMALL, stored_rows
 
@@ -41,6 +44,26 @@ def test_a_policy_and_the_rules_play_the_changed_environment(empty_folder: Path)
     assert dict(zip(header, learner, strict=True))["return"] == "12"
     assert "with env.args.cars=3, observations" in refused(*study[:3], "env.args.cars=3")
     assert "only env.args.KEY=VALUE can be changed" in refused(*study, "algo.lr=3")
+
+
+def test_its_formats_are_those_of_compare(empty_folder: Path) -> None:
+    name = keep_run_on(empty_folder / "runs", ("env=tracking", "env.args.steps=7", "algo=ippo")).name
+    asked = ("evaluate", name, "--episodes=3", "--seed=5", "--rules=random,optimal")
+    listed = json.loads(output(*asked, "--format=json").out)
+    compared = ("compare", "kept", *asked[2:], "--metrics=return,length,distance", "--format=json")
+    assert {row["controller"] for row in listed} == {"ippo", "rule random", "rule optimal"}
+    assert [row for row in listed if row["metric"] == "return"] == [
+        row for row in json.loads(output(*compared).out) if row["metric"] == "return"
+    ]
+    exact = csv.DictReader(output(*asked, "--format=csv").out.splitlines())
+    assert [float(row["mean"]) for row in exact] == [row["mean"] for row in listed]
+    page = " ".join(output(*asked, "--format=markdown").out.split())
+    assert "paired by episode" in page
+    assert f"Written by `headway {' '.join(asked)} --format=markdown`. | controller |" in page
+    alone = output(*asked[:3], "--rules=,", "--format=markdown").out
+    assert "Differences" not in alone
+    assert "| ippo |" in alone
+    assert output(*asked, "--format=latex").out.count("\\toprule") == 1
 
 
 @pytest.mark.parametrize(
