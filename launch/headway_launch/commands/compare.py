@@ -47,8 +47,8 @@ rule with the highest mean return. Pairs of learners, of different studies if se
 by the first metric: paired by episode but not by seed, with an interval and a p-value over the seeds of both
 and the episodes. p (Holm) is corrected for the number of pairs; --where selects fewer.
 Tables, also in markdown and latex (for the package booktabs), have one row per controller, rounded to two
-significant digits of a metric's narrowest interval, and one per pair; piped, they have six digits. csv and
-json have all digits and one row per difference. `headway list metrics ENVIRONMENT` describes the metrics.
+significant digits of a metric's narrowest interval, and one per pair. csv and json have all digits and one
+row per difference. `headway list metrics ENVIRONMENT` describes the metrics.
 """
 
 

@@ -37,9 +37,9 @@ def print_table(
     On a terminal too narrow for the table, columns in `spare` are omitted in that order; if that is not
     enough, columns in `whole` are wrapped too; if that is not enough either, each row is printed as a list of
     its values. Numbers, and the columns `numbers` of formatted ones, are never wrapped. If stdout is not a
-    terminal: no title, one row per line, cells separated by tabs, numbers with six significant digits. `note`
-    returns the line below the table for the omitted columns, or an empty string; it goes to stderr if stdout
-    is not a terminal.
+    terminal: no title, one row per line, cells separated by tabs, numbers with the same digits, without
+    separators of thousands. `note` returns the line below the table for the omitted columns, or an empty
+    string; it goes to stderr if stdout is not a terminal.
     """
     if not sys.stdout.isatty():
         print("\t".join(columns))
@@ -78,14 +78,17 @@ def without_empty(
     return [columns[index] for index in kept], [[row[index] for index in kept] for row in rows]
 
 
-def shown(value: Value) -> str:
-    """Format a value of a table: four significant digits, thousands separated, `-` if empty."""
+def shown(value: Value, thousands: str = ",", empty: str = "-") -> str:
+    """Format a value of a table: four significant digits, whole parts in full.
+
+    `thousands`: their separator, `,` or none; `empty`: the text of None.
+    """
     if value is None:
-        return "-"
+        return empty
     if isinstance(value, int):
-        return f"{value:,}"
+        return f"{value:{thousands}}"
     if isinstance(value, float):
-        return f"{value:,.0f}" if abs(value) >= 10_000 else f"{value:.4g}"
+        return f"{value:{thousands}.0f}" if abs(value) >= 9_999.5 else f"{value:.4g}"
     return value
 
 
@@ -171,8 +174,4 @@ def _print_as_lists(console: "Console", layout: _Layout, title: str) -> None:
 
 
 def _piped(value: Value) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, float):
-        return f"{value:.0f}" if 1e5 <= abs(value) < 1e15 else f"{value:.6g}"
-    return " ".join(str(value).split())
+    return " ".join(shown(value, thousands="", empty="").split())

@@ -17,10 +17,6 @@ from headway_launch.report.markdown_page import markdown_table
 from headway_launch.runner.comparison import Comparison
 from headway_launch.studies.learner_pairs import needed, p_texts, pairs_note
 
-PAIR_COLUMNS = (
-    *("metric", "learner", "minus learner", "difference", "95% low", "95% high"),
-    *("p", "p (Holm)", "seeds needed"),
-)
 RECORD_COLUMNS = (
     *("metric", "controller", "seeds", "mean", "reference", "difference", "95% low", "95% high", "interval"),
     *("p", "p (Holm)", "seeds needed"),
@@ -44,12 +40,6 @@ def records(found: Comparison, pairs: Sequence[PairRow] = ()) -> list[dict[str, 
         )
         listed.append(dict(zip(RECORD_COLUMNS, compared, strict=True)))
     return listed
-
-
-def pair_values(pair: PairRow) -> tuple[Value, ...]:
-    """Return the values of `PAIR_COLUMNS`."""
-    found = pair.difference.interval
-    return (*pair[:3], found.estimate, found.low, found.high, *p_texts(pair), needed(pair))
 
 
 def comparison_table(comparison: Comparison, note: str = "") -> Table:
@@ -104,11 +94,8 @@ def pairs_table(pairs: Sequence[PairRow], name: str, caption: str) -> Table:
 def _print_tables(found: Comparison, pairs: Sequence[PairRow], line: str) -> None:
     found.show()
     if pairs:
-        if sys.stdout.isatty():
-            table = pairs_table(pairs, "pairs", "")
-            print_table(table.headings, table.rows, title="pairs of learners")
-        else:
-            print_table(PAIR_COLUMNS, list(map(pair_values, pairs)))
+        table = pairs_table(pairs, "pairs", "")
+        print_table(table.headings, table.rows, title="pairs of learners")
         print_line(pairs_note(pairs))
 
 

@@ -26,7 +26,7 @@ from headway.stats.comparison import (
 from headway.wording import readable_metric
 from headway_launch.console.number_formats import MISSING, formatted, with_ends
 from headway_launch.console.output import print_line
-from headway_launch.console.tables import Value, print_table
+from headway_launch.console.tables import print_table
 
 _WHOLE_NAME = 30
 """Length up to which names of controllers are not wrapped, at the expense of metrics."""
@@ -125,21 +125,6 @@ class Comparison:
         }
         return {metric: with_ends(digits[metric], chain(*ends)) for metric, ends in found.items()}
 
-    def numbers(self) -> tuple[list[str], list[list[Value]]]:
-        """Return the columns and rows of a table for programs: as `cells`, with three per difference."""
-        compared = self._compared
-        columns = ["controller", "seeds"]
-        for metric in self.metrics:
-            columns.append(metric)
-            if metric in compared:
-                name = f"{metric} " if len(compared) > 1 else ""
-                columns += [f"{name}minus {self.reference}", f"{name}95% low", f"{name}95% high"]
-        table: dict[str, list[Value]] = {}
-        for row in self.rows:
-            values = (row.mean, row.difference, row.low, row.high)[: 4 if row.metric in compared else 1]
-            table.setdefault(row.controller, [row.controller, row.seeds]).extend(values)
-        return columns, list(table.values())
-
     @property
     def answer(self) -> str | None:
         """The sentence on the best learner and the reference; None without a learner, a rule or returns."""
@@ -172,7 +157,7 @@ class Comparison:
     def show(self) -> None:
         """Print one row per controller; on a terminal, differences of several metrics in a table each."""
         if not sys.stdout.isatty():
-            print_table(*self.numbers())
+            print_table(self.headings, self.cells)
             return
         groups = [[metric] for metric in self.metrics] if len(self._compared) > 1 else [list(self.metrics)]
         for group in groups:

@@ -1,5 +1,6 @@
 """`headway export`: files that act alone as `headway evaluate` does, and what it refuses."""
 
+import json
 import re
 import sys
 from collections.abc import Mapping
@@ -8,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_lines import failed, output, refused, rows_of
+from command_lines import failed, output, refused
 from kept_policies import keep_run_on
 
 from headway.api import Policy, child_seeds, load_policy
@@ -73,8 +74,8 @@ def test_the_printed_return_is_that_of_the_file(tmp_path: Path) -> None:
     told = output("export", folder.name, "--output", "policy.npz").err.splitlines()
     assert told[0].startswith("preparing the training environment, to compare the file")
     assert told[1] == "making the file, npz"
-    rows = rows_of("evaluate", folder.name, "--episodes", str(EPISODES), "--rules", "random")
-    shown = float(rows[1][2])
+    asked = ("--episodes", str(EPISODES), "--rules", "random", "--format", "json")
+    shown = json.loads(output("evaluate", folder.name, *asked).out)[0]["mean"]
     policy = load_policy("policy.npz")
     assert mean_return(policy, made(policy.origin)) == pytest.approx(shown, rel=1e-4)
 

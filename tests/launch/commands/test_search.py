@@ -99,11 +99,11 @@ def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched) -> No
     rows = [line for line in lines if len(line) == len(header)]
     paired, *pairs = lines[len(rows) :]
     learners = [row[0] for row in rows if not row[0].startswith("rule ")]
-    assert [tuple(pair[1:3]) for pair in pairs] == list(combinations(learners, 2))
-    assert paired[-3:] == ["p", "p (Holm)", "seeds needed"]
-    assert [pair[-1] for pair in pairs] == [""] * 6
+    assert [tuple(pair[:2]) for pair in pairs] == list(combinations(learners, 2))
+    assert paired == ["controller", "minus", "difference [95%]", "p", "p (Holm)", "seeds needed"]
+    assert [pair[-1] for pair in pairs] == ["\N{EN DASH}"] * 6
     assert "p (Holm): corrected by Holm for 6 pairs" in shown.err
-    assert header == ["controller", "seeds", "return", "minus optimal", "95% low", "95% high"]
+    assert header == ["controller", "seeds", "return", "minus optimal [95%]"]
     assert {"rule random", "rule optimal"} < {row[0] for row in rows}
     assert len(rows) == 6
     exact = {
@@ -111,10 +111,10 @@ def test_cells_and_rules_are_compared_on_the_same_days(searched: Searched) -> No
     }
     for row in rows:
         if row[0] != "rule optimal":
-            below = exact[row[0]]["mean"] - exact["rule optimal"]["mean"]
-            assert exact[row[0]]["difference"] == pytest.approx(below)
-            assert float(row[4]) <= float(row[3]) <= float(row[5])
-            assert exact[row[0]]["interval"] == "t over episodes"
+            found = exact[row[0]]
+            assert found["difference"] == pytest.approx(found["mean"] - exact["rule optimal"]["mean"])
+            assert found["95% low"] <= found["difference"] <= found["95% high"]
+            assert found["interval"] == "t over episodes"
     assert "1 seed: the interval is over episodes" in shown.err
 
 

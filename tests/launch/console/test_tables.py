@@ -66,15 +66,23 @@ def test_before_rows_become_lists_whole_columns_break(lines_at: LinesAt) -> None
     assert [number for _, number in cells if number] == ["0.123"]
 
 
-def test_a_pipe_gets_every_column_and_six_digits(capsys: pytest.CaptureFixture[str]) -> None:
-    print_table(
-        ("a", "b", "c", "d", "e"), [(2 / 3, 20480.0, 1234567.0, 123456789, None), (1e-9, "x\ny", 0.0, 1, 2)]
-    )
-    assert [line.split("\t") for line in capsys.readouterr().out.splitlines()] == [
+def test_a_pipe_gets_every_column_and_the_digits_of_a_terminal(
+    lines_at: LinesAt, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has no separators of thousands, with which `sort -n` and awk cannot read a number."""
+    columns = ("a", "b", "c", "d", "e")
+    rows = [(174.125, 20480.4, 1234567.0, 123456789, None), (0.00217355, "x\ny", 0.0, -9999.6, 2)]
+    on_terminal = lines_at(200, lambda: print_table(columns, rows))
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: False)
+    print_table(columns, rows)
+    piped = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert piped == [
         ["a", "b", "c", "d", "e"],
-        ["0.666667", "20480", "1234567", "123456789", ""],
-        ["1e-09", "x y", "0", "1", "2"],
+        ["174.1", "20480", "1234567", "123456789", ""],
+        ["0.002174", "x y", "0", "-10000", "2"],
     ]
+    cells = [cell.strip().replace(",", "") for line in on_terminal for cell in line.split("│")[1:-1]]
+    assert set(cells) >= {cell for row in piped[1:] for cell in row if cell not in ("", "x y")}
 
 
 @pytest.fixture
@@ -112,13 +120,13 @@ def test_runs_name_the_columns_left_out(store: Path) -> None:
     )
     named = "environment,policies,iterations,kg_co2"
     shown, note = output("runs", "--store", str(store), "--columns", named)
-    assert shown.splitlines()[1].split("\t") == ["bus", "shared", "147", "2.34568e-06"]
+    assert shown.splitlines()[1].split("\t") == ["bus", "shared", "147", "2.346e-06"]
     assert note == ""
 
 
 def test_runs_call_the_auc_what_it_is_and_csv_has_fields_and_all_digits(store: Path) -> None:
     header, row = rows_of("runs", "--store", str(store))
-    assert row[header.index("AUC (own range)")] == "0.333333"
+    assert row[header.index("AUC (own range)")] == "0.3333"
     [fields] = csv.DictReader(io.StringIO(output("runs", "--store", str(store), "--format", "csv").out))
     assert float(fields["auc"]) == 1 / 3
     assert float(fields["final_reward"]) == 2 / 3

@@ -45,12 +45,12 @@ def test_a_run_finds_its_file_again(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     shown = output(*evaluate)
     assert "has changed" not in shown.err
     # Each of 5 steps pays 1 and 2: see SHUTTLE.
-    assert "\nippo\t1\t7.5\t0\t\t\n" in shown.out
+    assert "\nippo\t1\t7.500\t+0\n" in shown.out
 
     file.write_text(SHUTTLE.replace("FARE = 1.0", "FARE = 3.0"))
     shown = output(*evaluate)
     assert f"headway: {file} has changed since the run was started" in shown.err
-    assert "\nippo\t1\t22.5\t0\t\t\n" in shown.out
+    assert "\nippo\t1\t22.50\t+0\n" in shown.out
     end_as(first.directory)
     stale = f"env.file_digest={EnvFile(str(file), SHUTTLE.encode()).digest}"
     for words in (("resume", first.run_id, store), ("run", f"env={file}", "algo=ippo", stale)):

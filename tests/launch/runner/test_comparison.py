@@ -107,12 +107,13 @@ def test_a_narrow_terminal_has_whole_names_of_rules_and_fewer_metrics(
     assert "columns omitted on this narrow terminal: wait" in shown
 
 
-def test_a_piped_table_has_numbers_only(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_piped_table_has_one_row_per_controller(capsys: pytest.CaptureFixture[str]) -> None:
+    """The interval is 2.5 +- 12.706 x 0.5, to two significant digits of its width."""
     compared([episodes(3.0, 5.0)], hold=episodes(1.0, 2.0)).show()
     assert [line.split("\t") for line in capsys.readouterr().out.splitlines()] == [
-        ["controller", "seeds", "return", "minus hold", "95% low", "95% high", "wait"],
-        ["ippo", "1", "4", "2.5", "-3.8531", "8.8531", "2"],
-        ["rule hold", "", "1.5", "", "", "", "0.75"],
+        ["controller", "seeds", "return", "minus hold [95%]", "wait"],
+        ["ippo", "1", "4", "+2 [-4, 9]", "2"],
+        ["rule hold", "\N{EN DASH}", "2", "\N{EN DASH}", "0.7500"],
     ]
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_lines import output, refused, rows_of
+from command_lines import output, refused
 from small_runs import SMALL
 
 from headway.api import load_policy
@@ -77,11 +77,11 @@ def test_the_best_policy_is_played_and_exported_in_the_place_of_the_newest() -> 
     others = policy_episodes(stored_policy(stored, environment), 2_000_003, 3, greedy=True)
     assert abs(mean - np.mean([float(row["return"]) for row in others])) > 1e-3
 
-    rows = rows_of("evaluate", name, "--best", "--episodes", "3", "--rules", "random")
-    assert rows[1][0].endswith(", best policy (iteration 2)")
-    assert float(rows[1][2]) == pytest.approx(mean, rel=1e-4)
-    asked = ["compare", stored.record.study, "--best", "--episodes", "3", "--rules", "random"]
-    learner = json.loads(output(*asked, "--format", "json").out)[0]
+    asked = ["--best", "--episodes", "3", "--rules", "random", "--format", "json"]
+    learner = json.loads(output("evaluate", name, *asked).out)[0]
+    assert learner["controller"].endswith(", best policy (iteration 2)")
+    assert learner["mean"] == pytest.approx(mean, rel=1e-6)
+    learner = json.loads(output("compare", stored.record.study, *asked).out)[0]
     assert learner["controller"].endswith(", best policies")
     assert learner["mean"] == pytest.approx(mean, rel=1e-6)
     assert "best policy, of iteration 2" in output("export", name, "--best").err

@@ -153,7 +153,7 @@ def test_a_finished_sweep_is_skipped_and_its_table_printed(tmp_path: Path) -> No
     shown = output("sweep", *sweep)
     assert "4 runs of study toys: 4 finished and skipped\n" in shown.err
     rows = [line.split("\t") for line in shown.out.splitlines()]
-    assert rows[1][:6] == ["ippo", "2 of 2", "2.5", "0.707107", "0.5", "20"]
+    assert rows[1][:6] == ["ippo", "2 of 2", "2.5", "0.7071", "0.5", "20"]
     assert rows[2][0] == "ia2c"
     assert len(RunIndex(tmp_path).rows()) == 4
     assert run(["resume", "--study", "toys", "--store", str(tmp_path)]) == 0
