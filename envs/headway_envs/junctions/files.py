@@ -68,7 +68,7 @@ def read_xml(path: Path, key: str, roots: Sequence[str]) -> ElementTree.Element:
     try:
         root = ElementTree.parse(path).getroot()
     except OSError as error:
-        raise HeadwayError(f"env.args.{key}: cannot read {path}: {error.strerror}") from error
+        raise HeadwayError(f"env.args.{key}: cannot read {path.absolute()}: {error.strerror}") from error
     except ElementTree.ParseError as error:
         raise HeadwayError(f"env.args.{key}: {path} is not XML: {error}") from error
     if root.tag not in roots:

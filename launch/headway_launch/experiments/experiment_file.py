@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from headway_launch.experiments.yaml_file import read_mapping
 _GROUP = "experiment"
 _NAMED_BY = {"env": "id", "algo": "name", "backend": "name"}
 """By group: key that holds the chosen option in a stored configuration."""
+_WITH_PATHS = ("env", "stages")
+"""Keys under which a value may be the path of an environment's file or data."""
 
 
 def split_experiment_file(overrides: Sequence[str]) -> tuple[Path | None, list[str]]:
@@ -38,12 +41,15 @@ def choice_of_file(path: Path) -> str:
     """Make the experiment in a file known to Hydra; return the override that chooses it.
 
     A group's option may be given as `algo: mappo`, without Hydra's list of defaults. If the file is the
-    stored configuration of a run, missing keys have the values that the run had. Raises HeadwayError for a
-    file that cannot be used.
+    stored configuration of a run, missing keys have the values that the run had. Relative paths that do not
+    exist in the current folder are those beside the file. Raises HeadwayError for a file that cannot be used.
     """
     from hydra.core.config_store import ConfigStore
 
     content = _content(path)
+    for key in _WITH_PATHS:
+        if key in content:
+            content[key] = _beside(path.parent, content[key])
     if path.name == "config.yaml" and path.with_name("run.json").is_file():
         content = {**upgraded(content), "preset": NO_PRESET}  # its values are written out
         if isinstance(env := content.get("env"), dict):
@@ -81,6 +87,22 @@ def choice_of_file(path: Path) -> str:
     name = f"file_{hashlib.sha256(repr(node).encode()).hexdigest()[:16]}"
     ConfigStore.instance().store(name, node, _GROUP, package="_global_")
     return f"{_GROUP}={name}"
+
+
+def _beside(folder: Path, value: Any) -> Any:  # noqa: ANN401 - any value of a YAML file
+    """Return a value with its relative paths that exist in `folder`, and not in the current one, absolute.
+
+    A word without `/` and `.` is no path, since it may be the name of packaged data, such as a scenario.
+    """
+    if isinstance(value, dict):
+        return {key: _beside(folder, inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_beside(folder, inner) for inner in value]
+    with suppress(OSError):  # no path, such as a text that is too long
+        if isinstance(value, str) and {"/", "."} & set(value) and not Path(value).exists():
+            there = folder / value
+            return str(there.resolve()) if there.exists() else value
+    return value
 
 
 def unknown_option(file: Path | None, group: str, option: str, known: Sequence[str]) -> str:

@@ -94,7 +94,7 @@ def test_the_parallel_env_has_slots_as_agents() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"network": "nowhere.net.xml"}, r"env\.args\.network: cannot read nowhere\.net\.xml: No such file"),
+        ({"network": "nowhere.net.xml"}, r"args\.network: cannot read /.*/nowhere\.net\.xml: No such file"),
         ({"network": "{demand}"}, r"network: .*my\.rou\.xml must be a SUMO file <net>, not one of <routes>"),
         ({"demand": "{network}"}, r"demand: .*made\.net\.xml must be a SUMO file <routes>, not one of <net>"),
         ({"automated_type": "car"}, r"automated_type: .* has no vType 'car'; it has: person, robot"),

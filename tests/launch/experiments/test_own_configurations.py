@@ -7,6 +7,7 @@ import yaml
 from command_lines import output, refused, rows_of
 from small_runs import SMALL
 
+from headway.config.experiment import ExperimentConfig
 from headway.config.schema import plain
 from headway.store.index import RunIndex
 from headway_launch.commands.main import run
@@ -97,6 +98,59 @@ def test_files_of_the_project_can_be_given_by_path() -> None:
     for name in ("bus_mappo", "mpe2_spread"):
         by_path, by_name = compose([str(configs / f"{name}.yaml")]), compose([f"experiment={name}"])
         assert full_mapping(by_path, (0,)) == full_mapping(by_name, (0,))
+
+
+PATHS = """
+env:
+  id: ./shuttle.py
+  args: {cars: data/cars, fare: my.fare, steps: four, names: [data/cars, mpe2.other]}
+  training_args: {fare: ../other.fare}
+stages: [{env_steps: 2048, training_args: {fare: my.fare}}, {env_steps: 2048}]
+algo: ippo
+"""
+SHUTTLE_OF_PATHS = """
+from pettingzoo.test.example_envs import generated_agents_parallel_v0
+
+
+def parallel_env(cars="", fare="", steps="", names=()):
+    return generated_agents_parallel_v0.parallel_env()
+"""
+
+
+@pytest.mark.parametrize("option", [False, True])
+def test_a_path_that_is_not_in_the_current_folder_is_beside_the_file(
+    option: bool, empty_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stored paths are then absolute, so that the run is continued from any folder. A name of packaged
+    data (four) is no path."""
+    lab = empty_folder / "lab" / "experiment"
+    for name in ("data/cars", "my.fare", "four", "../other.fare"):
+        written(f"{lab}/{name}", "")
+    written(f"{lab}/shuttle.py", SHUTTLE_OF_PATHS)
+    file = written(f"{lab}/paths.yaml", PATHS)
+
+    def composed(*words: str) -> ExperimentConfig:
+        if not option:
+            return compose([str(file), *words]).config
+        with own_configs(str(empty_folder / "lab")):
+            return compose(["experiment=paths", *words]).config
+
+    env = composed().env
+    assert env.id == f"{lab}/shuttle.py"
+    assert env.args == {
+        "cars": f"{lab}/data/cars", "fare": f"{lab}/my.fare", "steps": "four",
+        "names": [f"{lab}/data/cars", "mpe2.other"],
+    }  # fmt: skip
+    assert env.training_args == {"fare": str(empty_folder / "lab" / "other.fare")}
+    assert composed().stages[0].training_args == {"fare": f"{lab}/my.fare"}
+    assert composed("env.args.fare=data/cars").env.args["fare"] == "data/cars"
+    # What exists in the current folder is meant as before.
+    written("data/cars", "")
+    written("shuttle.py", SHUTTLE_OF_PATHS)
+    assert composed().env.args["cars"] == "data/cars"
+    assert composed().env.id == f"{empty_folder}/shuttle.py"
+    monkeypatch.chdir(lab)
+    assert composed().env.args["fare"] == "my.fare"
 
 
 @pytest.mark.usefixtures("empty_folder")

@@ -134,8 +134,8 @@ def read_tables(folder: str | Path) -> Tables:
         near = difflib.get_close_matches(str(folder), SCENARIOS, 1, 0.5)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise HeadwayError(
-            f"scenario '{folder}' is none of {', '.join(SCENARIOS)}, and not a folder{hint} "
-            "(a scenario folder holds eight Parquet tables and meta.json)"
+            f"scenario '{folder}' is none of {', '.join(SCENARIOS)}, and {folder.absolute()} is not a "
+            f"folder{hint} (a scenario folder holds eight Parquet tables and meta.json)"
         )
     frames = {}
     for name in COLUMNS:

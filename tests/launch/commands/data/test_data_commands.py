@@ -48,7 +48,13 @@ def test_every_help_shows_examples_and_imports_nothing_heavy() -> None:
         (["synthetc"], ["unknown command 'synthetc' of headway data", "headway data synthetic"]),
         (["synthetic"], ["OUT", "headway data synthetic --help"]),
         (["synthetic", "x", "--seed", "-1"], ["--seed must be at least 0"]),
-        (["describe", "nowhere"], ["scenario 'nowhere' is none of line, corridor, district, city"]),
+        (
+            ["describe", "nowhere"],
+            [
+                "scenario 'nowhere' is none of line, corridor, district, city",
+                "/nowhere is not a folder (a scenario",
+            ],
+        ),
         (["plot", "line", "--output", "x.nothing"], ["--output: x.nothing cannot be written"]),
         (["plot", "line", "--output", "x"], ["--output: x has no suffix", "as x.png or .svg"]),
         (["plot", "line", "--output", "no/x.png"], ["--output: no/x.png cannot", "there is no folder no;"]),
