@@ -10,7 +10,7 @@ from headway.events import Row
 from headway.store.atomic_files import write_json, write_text
 from headway.store.parquet_log import RunLog, Table
 from headway.store.run_folder import Process, RunRecord, Status, cell_name, create_run_folder, now
-from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 
 ELSEWHERE = Process("elsewhere", 1, 0.0)

@@ -24,7 +24,7 @@ import numpy as np
 from headway.contracts.errors import HeadwayError
 
 if TYPE_CHECKING:
-    from headway_launch.experiments.compose import Experiment
+    from headway_launch.experiments.experiment import Experiment
 
 VALUE_WEIGHT = 1.0
 """Weight of the critic's loss in the common loss; Headway's critic has its own optimiser."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from headway.contracts import EnvSpec, Observations
     from headway.policies.trained_run import TrainedRun
-    from headway_launch.experiments.compose import PreparedEnv
+    from headway_launch.experiments.experiment import PreparedEnv
     from headway_launch.runner.stored_run import StoredRun
 
 EXAMPLES = """\

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from headway.contracts import BatchedEnv, Observations, StepResult
     from headway_launch.console.video import Frame
-    from headway_launch.experiments.compose import PreparedEnv
+    from headway_launch.experiments.experiment import PreparedEnv
     from headway_launch.runner.stored_run import StoredRun
 
     Act = Callable[[Any, Observations], NDArray[Any]]

@@ -6,7 +6,7 @@ from pathlib import Path
 from headway.config.experiment import NO_PRESET, ExperimentConfig
 from headway.wording import counted
 from headway_launch.console.output import print_notice
-from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.experiments.experiment_file import split_experiment_file
 
 _INTERVALS = 6

@@ -8,7 +8,7 @@ from headway.config.experiment import ExperimentConfig
 from headway.config.schema import plain
 
 if TYPE_CHECKING:
-    from headway_launch.experiments.compose import Experiment
+    from headway_launch.experiments.experiment import Experiment
 
 _IDENTITY_KEYS = ("study", "env_steps", "device", "env", "algo", "rollout", "evaluation")
 

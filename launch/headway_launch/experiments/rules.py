@@ -13,7 +13,7 @@ from headway_launch.console.output import print_line, prints_to_stderr
 if TYPE_CHECKING:
     from headway.rollout.episodes import OnStep
     from headway_launch.console.progress_display import CountedProgress
-    from headway_launch.experiments.compose import Experiment, PreparedEnv
+    from headway_launch.experiments.experiment import Experiment, PreparedEnv
 
 _CHECKED_STEPS = 5
 """Steps of each rule before training, in which its actions are checked."""

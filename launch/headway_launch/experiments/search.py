@@ -11,7 +11,8 @@ from headway.config.schema import build, plain, suggestion
 from headway.contracts.checks import require_at_least, require_key, require_value
 from headway.contracts.errors import HeadwayError
 from headway.registry import algo_entries
-from headway_launch.experiments.compose import Experiment, PreparedEnv, compose, composer
+from headway_launch.experiments.compose import compose, composer
+from headway_launch.experiments.experiment import Experiment, PreparedEnv
 from headway_launch.experiments.options import config_file, options
 from headway_launch.experiments.parameters import flat, full_mapping, identity
 from headway_launch.experiments.search_space import (

@@ -14,7 +14,8 @@ from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import CHECKPOINTS, RunRecord, find_run
 from headway.store.run_plan import RunPlan
 from headway.training.loop import ParentRun
-from headway_launch.experiments.compose import Experiment, PreparedEnv, require_rule
+from headway_launch.experiments.compose import require_rule
+from headway_launch.experiments.experiment import Experiment, PreparedEnv
 from headway_launch.experiments.override_words import written
 from headway_launch.experiments.parameters import flat
 

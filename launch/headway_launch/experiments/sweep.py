@@ -7,7 +7,8 @@ from math import prod
 
 from headway.config.schema import parse_seeds
 from headway.contracts.errors import HeadwayError
-from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.compose import compose
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.experiments.options import options
 from headway_launch.experiments.parameters import session_settings
 

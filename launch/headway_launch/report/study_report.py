@@ -7,19 +7,23 @@ from headway.stats.samples import CONFIDENCE
 from headway.store.provenance import provenance
 from headway.wording import counted
 from headway_launch.console.number_formats import formatted, scale_of, with_interval
-from headway_launch.report.absolute_metric import absolute_metric_section
-from headway_launch.report.costs import energy_section, tradeoff_section
 from headway_launch.report.elements import Report, Section
-from headway_launch.report.learning import across_environments, curves_section, episode_metrics_section
-from headway_launch.report.provenance_section import provenance_section, runs_section
 from headway_launch.report.published import published_sections
-from headway_launch.report.reward_tables import (
+from headway_launch.report.sections.absolute_metric import absolute_metric_section
+from headway_launch.report.sections.costs import energy_section, tradeoff_section
+from headway_launch.report.sections.learning import (
+    across_environments,
+    curves_section,
+    episode_metrics_section,
+)
+from headway_launch.report.sections.provenance import provenance_section, runs_section
+from headway_launch.report.sections.rewards import (
     final_reward_section,
     improvement_section,
     interquartile_section,
 )
-from headway_launch.report.setting_section import setting_section
-from headway_launch.report.setup_section import setup_section
+from headway_launch.report.sections.setting import setting_section
+from headway_launch.report.sections.setup import setup_section
 from headway_launch.report.study_data import StudyData
 
 _MAX_PAIRS = 3

@@ -13,7 +13,7 @@ from headway.rollout.episodes import EvaluationRequest, OnStep, evaluate_policy,
 from headway.rollout.plan import RolloutPlan
 from headway.store.checkpoint import UnfitPolicyError, stored_parameters
 from headway_launch.console.output import prints_to_stderr
-from headway_launch.experiments.compose import PreparedEnv
+from headway_launch.experiments.experiment import PreparedEnv
 from headway_launch.runner.stored_run import StoredRun
 
 

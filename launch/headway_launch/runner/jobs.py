@@ -17,7 +17,7 @@ from headway.store.atomic_files import make_folder
 from headway.training.loop import ParentRun, TrainingJob
 from headway.wording import counted
 from headway_launch.console.output import print_notice
-from headway_launch.experiments.compose import Experiment, PreparedEnv
+from headway_launch.experiments.experiment import Experiment, PreparedEnv
 from headway_launch.experiments.start import parent_run, start_rule
 
 _FREE_BYTES = 20 * 2**20

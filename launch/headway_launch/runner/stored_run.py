@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ from headway.store.checkpoint import latest_iteration
 from headway.store.run_configuration import read_configuration
 from headway.store.run_folder import CHECKPOINTS, RunRecord, find_run
 from headway.store.run_plan import RunPlan
-from headway_launch.experiments.compose import Experiment, PreparedEnv, resolve
-from headway_launch.experiments.env_args import with_env_args
+from headway_launch.experiments.compose import require_grammar, resolve
+from headway_launch.experiments.experiment import Experiment, PreparedEnv
 from headway_launch.experiments.parameters import identity
 from headway_launch.experiments.start import parent_run
 from headway_launch.runner.jobs import PlannedJob
@@ -139,3 +140,45 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
             job = job.with_parent(parent_run(experiment, job.training.plan.policy))
         jobs.append(replace(job, resumed=run_ids, iteration=iteration, workers=plan.workers))
     return tuple(jobs)
+
+
+def with_env_args(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+    """Return a stored configuration with changed environment arguments, and a description of the changes.
+
+    `overrides`: `env.args.KEY=VALUE` in Hydra's grammar. Raises HeadwayError for other keys, which concern
+    training only.
+    """
+    for override in overrides:
+        if not override.startswith("env.args.") or "=" not in override:
+            raise HeadwayError(
+                f"{override}: a trained policy keeps its own configuration; only env.args.KEY=VALUE can be "
+                "changed, and options such as --episodes and --rules"
+            )
+    return with_env_keys(mapping, overrides)
+
+
+def with_env_keys(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+    """Return a stored configuration with changed keys of `env`, and a description of each change.
+
+    `overrides`: `env.KEY=VALUE` in Hydra's grammar, with one value. Raises HeadwayError for others, and for a
+    key below a value that has no keys.
+    """
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    changed, changes = deepcopy(dict(mapping)), []
+    for override in overrides:
+        key = override.partition("=")[0]
+        require_grammar([override])
+        parsed = OverridesParser.create().parse_override(override)
+        if parsed.is_sweep_override():
+            raise HeadwayError(f"{override}: give one value")
+        _, *parents, name = key.split(".")
+        place = changed.get("env")
+        for parent in parents:
+            place = place.setdefault(parent, {}) if isinstance(place, dict) else None
+        if not isinstance(place, dict):
+            raise HeadwayError(f"{override}: {key.rpartition('.')[0]} has no keys; give its value")
+        trained = f" (trained with {place[name]})" if name in place else ""
+        changes.append(f"{override}{trained}")
+        place[name] = parsed.value()
+    return changed, changes

@@ -20,7 +20,7 @@ from headway_launch.console.progress import duration
 
 if TYPE_CHECKING:
     from headway.contracts.entries import EnvEntry
-    from headway_launch.experiments.compose import Experiment
+    from headway_launch.experiments.experiment import Experiment
 
 _EVERY_S = 30.0
 """Seconds between two lines about a compilation that goes on."""

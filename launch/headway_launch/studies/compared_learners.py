@@ -7,7 +7,7 @@ from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
 from headway.store.cell_names import labelled_cells
-from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.experiments.parameters import flat
 from headway_launch.runner.stored_run import StoredRun
 from headway_launch.studies.runs import finished_runs

@@ -13,7 +13,8 @@ from headway.store.atomic_files import make_folder, read_json, write_json
 from headway.store.cell_names import CellChoice, names_among
 from headway.store.run_configuration import upgraded
 from headway.store.run_folder import cell_name, plans_folder
-from headway_launch.experiments.compose import Experiment, PreparedEnv, resolve
+from headway_launch.experiments.compose import resolve
+from headway_launch.experiments.experiment import Experiment, PreparedEnv
 from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
 from headway_launch.runner.jobs import CellPlan, PlannedJob, new_jobs
 from headway_launch.runner.stored_run import StoredRun, jobs_to_resume

@@ -12,7 +12,7 @@ from headway.store.atomic_files import locked
 from headway.store.index import RunIndex, RunRow
 from headway.store.run_folder import search_database
 from headway_launch.console.output import print_line
-from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.experiments.parameters import full_mapping, identity
 from headway_launch.experiments.search import AlgorithmSearch
 from headway_launch.runner.jobs import CellPlan

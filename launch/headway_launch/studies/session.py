@@ -10,7 +10,7 @@ from headway.store.index import RunIndex
 from headway.store.run_folder import RunRecord
 from headway.wording import counted
 from headway_launch.console.output import print_line
-from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.runner.jobs import CellPlan
 from headway_launch.runner.runner import EXIT_STOPPED, Runner
 from headway_launch.studies.plan import StudyProgress, keep_plan, plan_cells

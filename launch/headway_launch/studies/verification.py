@@ -17,12 +17,12 @@ from headway.store.session import EPISODES_RESTARTED
 from headway.wording import counted
 from headway_launch.console.output import print_line
 from headway_launch.console.progress import duration
-from headway_launch.experiments.compose import PreparedEnv, resolve
-from headway_launch.experiments.env_args import with_env_keys
+from headway_launch.experiments.compose import resolve
+from headway_launch.experiments.experiment import PreparedEnv
 from headway_launch.runner.cores import uses_gpu
 from headway_launch.runner.jobs import CellPlan, PlannedJob, new_jobs
 from headway_launch.runner.runner import EXIT_DONE, EXIT_STOPPED, Runner
-from headway_launch.runner.stored_run import StoredRun
+from headway_launch.runner.stored_run import StoredRun, with_env_keys
 
 CONFIDENCE = 0.99
 """Probability that a further seed of a cell lies in the interval with which a run is compared elsewhere."""

@@ -12,7 +12,7 @@ from small_runs import SMALL, stored_rows
 
 from headway.contracts import HeadwayError
 from headway_launch.commands.main import run
-from headway_launch.experiments.env_args import with_env_args
+from headway_launch.runner.stored_run import with_env_args
 
 
 @pytest.mark.slow

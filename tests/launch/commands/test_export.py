@@ -16,7 +16,8 @@ from headway.api import Policy, child_seeds, load_policy
 from headway.policies import files
 from headway.policies.description import Arrays, PolicyDescription
 from headway_launch.commands.main import run
-from headway_launch.experiments.compose import Experiment, HeadwayError, resolve
+from headway_launch.experiments.compose import HeadwayError, resolve
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
 from headway_launch.runner.stored_run import StoredRun
 

@@ -13,7 +13,8 @@ from headway.store.checkpoint import load_latest, save_checkpoint
 from headway.store.parquet_log import read_curve
 from headway.store.run_folder import CHECKPOINTS
 from headway_launch.commands.main import run
-from headway_launch.experiments.compose import Experiment, compose, resolve
+from headway_launch.experiments.compose import compose, resolve
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 
 SPREAD = ("env=mpe2.simple_spread_v3", "env.args.N=3")

@@ -11,7 +11,8 @@ from headway.config.experiment import ExperimentConfig
 from headway.config.schema import plain
 from headway.store.index import RunIndex
 from headway_launch.commands.main import run
-from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.compose import compose
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.experiments.options import own_configs
 from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
 from headway_launch.experiments.search import read_search

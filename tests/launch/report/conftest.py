@@ -12,7 +12,8 @@ from stored_runs import keep as keep_anyhow
 from headway.events import Row
 from headway.store.atomic_files import write_json
 from headway.store.run_folder import Status, cell_name, rules_file
-from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.compose import compose
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 
 EPISODES = 4

@@ -24,12 +24,12 @@ from headway.stats.pairs import LearnerDifference
 from headway.store.atomic_files import write_json
 from headway.store.run_folder import RunRecord, best_file
 from headway_launch.commands.main import run as run_command
-from headway_launch.report import reward_tables
-from headway_launch.report.costs import tradeoff_section
 from headway_launch.report.elements import Listing, Picture, Report, Section, Table
 from headway_launch.report.html_page import html
-from headway_launch.report.learning import curves_section
-from headway_launch.report.reward_tables import final_reward_section
+from headway_launch.report.sections import rewards as rewards_module
+from headway_launch.report.sections.costs import tradeoff_section
+from headway_launch.report.sections.learning import curves_section
+from headway_launch.report.sections.rewards import final_reward_section
 from headway_launch.report.study_data import StudyData
 from headway_launch.report.study_report import report_of
 from headway_launch.studies.runs import configuration, rule_phases
@@ -178,7 +178,7 @@ def test_report_warns_of_narrow_intervals_over_few_seeds(keep_run: Keep, root: P
 def test_captions_name_a_cell_that_diverged(
     two: Two, keep_run: Keep, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reward_tables, "SEEDS_FOR_A_PROFILE", 2)
+    monkeypatch.setattr(rewards_module, "SEEDS_FOR_A_PROFILE", 2)
     copytree(two.root, root)
     for seed in range(2):
         keep_run((*TRACKING, "algo=ddpg"), seed, -98_439.0 - seed)
@@ -194,7 +194,7 @@ def test_captions_name_a_cell_that_diverged(
 def test_if_lower_is_better_a_far_lower_cell_is_drawn(
     diverged: bool, two: Two, keep_run: Keep, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reward_tables, "SEEDS_FOR_A_PROFILE", 2)
+    monkeypatch.setattr(rewards_module, "SEEDS_FOR_A_PROFILE", 2)
     copytree(two.root, root)
     for seed in range(2):
         keep_run((*TRACKING, "algo=ddpg"), seed, 98_000.0 if diverged else -98_000.0, energy=KNOWN)

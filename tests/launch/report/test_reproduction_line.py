@@ -9,7 +9,8 @@ import pytest
 import yaml
 from shuttle import SHUTTLE
 
-from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.compose import compose
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.experiments.parameters import full_mapping
 from headway_launch.report.reproduction_line import reproducing_line
 

@@ -16,7 +16,8 @@ from headway.contracts import Discrete, EnvSpec, HeadwayError
 from headway.store.parquet_log import read_rows
 from headway.store.run_folder import Process
 from headway_launch.commands.main import run
-from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.compose import compose
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
 from headway_launch.runner.cores import share_cores, uses_gpu, workers_of
 from headway_launch.runner.jobs import new_jobs, plan_jobs, require_free_disk, within_processes

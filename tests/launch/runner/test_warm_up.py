@@ -16,7 +16,8 @@ import headway_envs
 from headway.contracts.entries import AlgoEntry, EnvEntry
 from headway.registry import algo_entry, env_entry
 from headway_launch.commands.main import run as run_command
-from headway_launch.experiments.compose import Experiment, compose
+from headway_launch.experiments.compose import compose
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.runner.warm_up import compile_kernels, compile_kernels_of, kernel_modules
 
 

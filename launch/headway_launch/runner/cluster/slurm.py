@@ -11,7 +11,7 @@ from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import make_folder, write_text
 from headway.store.run_folder import plans_folder
 from headway_launch.console.output import print_line
-from headway_launch.experiments.compose import Experiment
+from headway_launch.experiments.experiment import Experiment
 from headway_launch.experiments.options import own_folder
 from headway_launch.experiments.sweep import compose_sweep
 

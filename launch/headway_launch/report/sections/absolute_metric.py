@@ -11,7 +11,7 @@ from headway.stats.comparison import difference
 from headway.wording import counted
 from headway_launch.console.number_formats import MISSING, formatted, with_deviation, with_interval
 from headway_launch.report.elements import Part, Section, table_by_task
-from headway_launch.report.reward_tables import against_cells, exact_against
+from headway_launch.report.sections.rewards import against_cells, exact_against
 from headway_launch.report.study_data import DifferenceFromBest, StudyData
 from headway_launch.studies.kept_episodes import kept_episodes
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sections import section_of, tables, words
 
-from headway_launch.report.setup_section import setup_section
+from headway_launch.report.sections.setup import setup_section
 
 
 def test_policies_seeds_steps_and_episodes_are_named(keep_run: Callable[..., Path], root: Path) -> None:

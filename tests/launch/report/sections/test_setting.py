@@ -7,7 +7,7 @@ import pytest
 from sections import section_of, tables
 
 from headway_launch.report.elements import Picture
-from headway_launch.report.setting_section import setting_section
+from headway_launch.report.sections.setting import setting_section
 from headway_launch.report.study_data import StudyData
 
 Keep = Callable[..., Path]

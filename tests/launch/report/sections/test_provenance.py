@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from headway_launch.report import provenance_section
+from headway_launch.report.sections import provenance
 
 
 @pytest.mark.parametrize(
@@ -19,8 +19,8 @@ def test_algorithms_that_apply_gradients_on_arrival_are_excepted_from_reproducti
     algos = [{"name": "ippo"}, {"name": "a3c", "application": application}]
     cells = {("task", algo["name"]): [SimpleNamespace(directory=algo)] for algo in algos}
     data: Any = SimpleNamespace(cells=cells)
-    monkeypatch.setattr(provenance_section, "configuration", lambda directory: {"algo": directory})
-    assert provenance_section._determinism_exception(data).startswith(ending)
+    monkeypatch.setattr(provenance, "configuration", lambda directory: {"algo": directory})
+    assert provenance._determinism_exception(data).startswith(ending)
 
 
 def test_a_shell_reads_a_command_over_several_lines_as_one() -> None:
@@ -28,7 +28,7 @@ def test_a_shell_reads_a_command_over_several_lines_as_one() -> None:
         f"key{place}={value}" for place in range(30) for value in ("1e-3", "'a - b'", '"it\'s"', "[x,y]")
     ]
     line = " ".join(["headway run", *words])
-    wrapped = provenance_section._wrapped(line)
+    wrapped = provenance._wrapped(line)
     assert max(map(len, wrapped.splitlines())) <= 106
     function = "headway() { printf '%s\\n' \"$@\"; }\n"
     read = [
@@ -37,4 +37,4 @@ def test_a_shell_reads_a_command_over_several_lines_as_one() -> None:
     ]
     assert read[0] == read[1]
     assert len(read[0].splitlines()) == 1 + len(words)
-    assert provenance_section._wrapped("# it's " + line) == "# it's " + line
+    assert provenance._wrapped("# it's " + line) == "# it's " + line
