@@ -94,7 +94,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
     index = RunIndex(existing_store(arguments.store))
     everything = index.rows()
-    for notice in index.notices:
+    for notice in index.notices.values():
         print(f"headway: {notice}", file=sys.stderr)
     _require_known("study", arguments.study, {row.study for row in everything})
     _require_known("env", arguments.env, {row.environment for row in everything})

@@ -31,7 +31,6 @@ from headway_launch.studies.runs import (
     included_runs,
     metric_descriptions,
     rules_beside,
-    study_runs,
 )
 
 if TYPE_CHECKING:
@@ -78,8 +77,7 @@ class StudyData:
         included: list[RunRow] = []
         self.excluded: list[str] = []
         for store, name in ((root, study), *others):
-            rows = study_runs(store, name)
-            chosen, excluded = included_runs(rows, name)
+            rows, chosen, excluded = included_runs(store, name)
             _require_other_cells(every, rows)
             every, included = [*every, *rows], [*included, *chosen]
             self.excluded += [f"{each} of {name}" if others else each for each in excluded]

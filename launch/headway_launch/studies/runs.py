@@ -2,7 +2,7 @@
 
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from headway.config.experiment import steps_per_iteration
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
-from headway_launch.console.output import print_line
+from headway.store.run_folder import study_folder
+from headway_launch.console.output import print_line, print_notice
 from headway_launch.studies.run_filter import filter_runs
 
 if TYPE_CHECKING:
@@ -20,20 +21,39 @@ if TYPE_CHECKING:
     from headway.store.index import RunRow
     from headway.store.query import RunSelection
 
+_READ_OF_ALL = ("env", "evaluation", "energy")
+"""Groups of a run's configuration that results are read from; the file ends with the last."""
 
-def finished_runs(root: Path, study: str, where: Sequence[str] = ()) -> "RunSelection":
+
+def require_results(directory: Path) -> None:
+    """Raise HeadwayError if the configuration, the curve or the evaluations of a finished run are damaged."""
+    from headway.store.parquet_log import require_readable
+
+    config = configuration(str(directory))
+    if missing := [key for key in _READ_OF_ALL if not isinstance(config.get(key), Mapping)]:
+        raise HeadwayError(
+            f"{directory / 'config.yaml'} lacks {', '.join(missing)}: restore it, or remove this run's folder"
+        )
+    require_readable(directory)
+
+
+def finished_runs(
+    root: Path,
+    study: str,
+    where: Sequence[str] = (),
+    require: Callable[[Path], object] = require_results,
+) -> "RunSelection":
     """Return the newest finished run of each cell and seed of a study for which `where` holds, oldest first.
 
     Cells are named beside all of the study's, so that one has the same name before the others have finished.
     Prints how many runs are left out because they have not finished, or because a newer run of their seed
-    has.
+    has, and which are damaged. `require`: as in `included_runs`.
 
     Raises HeadwayError if there is no such study or no such run, and for an invalid condition.
     """
     from headway.store.query import RunSelection
 
-    rows = study_runs(root, study)
-    included, excluded = included_runs(rows, study)
+    rows, included, excluded = included_runs(root, study, require)
     if excluded:
         print_line(f"headway: runs of {study} left out: {', '.join(excluded)}")
     if chosen := filter_runs(included, where):
@@ -41,36 +61,51 @@ def finished_runs(root: Path, study: str, where: Sequence[str] = ()) -> "RunSele
     raise HeadwayError(f"--where: no finished run of {study} matches; see headway runs --where")
 
 
-def study_runs(root: Path, study: str) -> list["RunRow"]:
-    """Return all runs of a study, oldest first. Raises HeadwayError if there is no such study."""
-    from headway.store.index import RunIndex
+def included_runs(
+    root: Path, study: str, require: Callable[[Path], object] = require_results
+) -> tuple[list["RunRow"], list["RunRow"], list[str]]:
+    """Return all runs of a study, those that results include, as `finished_runs`, and one phrase per kind of
+    the others.
 
-    rows = RunIndex(root).rows()
-    studies = sorted({row.study for row in rows})
-    if study not in studies:
-        raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
-    return [row for row in rows if row.study == study]
-
-
-def included_runs(rows: Sequence["RunRow"], study: str) -> tuple[list["RunRow"], list[str]]:
-    """Return the runs that results include, as `finished_runs`, and one phrase per kind of excluded runs.
-
-    `rows`: all runs of the study. Raises HeadwayError if none has finished.
+    `require` raises HeadwayError for the folder of a run with a damaged file; such a run is left out, with a
+    line that says so. Raises HeadwayError if there is no such study, and if no finished run is left.
     """
+    from headway.store.index import RunIndex, damage
     from headway.store.query import newest_runs
 
+    index = RunIndex(root)
+    everything = index.rows()
+    folder = study_folder(index.root, study)
+    damaged = [line for run, line in index.notices.items() if run.parent == folder]
+    rows = [row for row in everything if row.study == study]
     finished = [row for row in rows if row.status == "FINISHED"]
+    newest = newest_runs(finished)
+    included: list[RunRow] = []
+    for row in newest:
+        try:
+            require(Path(row.directory))
+            included.append(row)
+        except HeadwayError as error:
+            damaged.append(damage(Path(row.directory), error))
+    for line in damaged:
+        print_notice(line)
+    if not rows:
+        studies = sorted({row.study for row in everything})
+        raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
     others = Counter(row.status for row in rows if row.status != "FINISHED")
     kinds = ", ".join(f"{count} {status}" for status, count in sorted(others.items()))
+    excluded = [f"{others.total()} not finished ({kinds})"] if others else []
     if not finished:
         raise HeadwayError(
             f"study {study!r} has no finished run ({kinds}); see headway runs --study {shlex.quote(study)}"
         )
-    newest = newest_runs(finished)
-    excluded = [f"{others.total()} not finished ({kinds})"] if others else []
+    if not included:
+        raise HeadwayError(f"every finished run of study {study!r} is damaged, as the lines above say")
     if repeats := len(finished) - len(newest):
         excluded.append(f"{repeats} superseded by a newer run of the same seed")
-    return newest, excluded
+    if damaged:
+        excluded.append(f"{len(damaged)} damaged")
+    return rows, included, excluded
 
 
 def curve_column(metric: str) -> str:

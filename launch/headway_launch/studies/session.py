@@ -34,7 +34,7 @@ class StudySession:
         root = Path(config.store.root)
         index = RunIndex(root)
         rows = index.rows(config.study)
-        for notice in index.notices:
+        for notice in index.notices.values():
             print_line(f"headway: {notice}")
         progress = [
             StudyProgress.untouched(experiment) if fresh else StudyProgress.of(root, experiment, rows)

@@ -70,15 +70,16 @@ class RunIndex:
 
     def __init__(self, root: Path) -> None:
         self.root = root.resolve()
-        self.notices: list[str] = []
-        """One line for each run folder that could not be read at the last query."""
+        self.notices: dict[Path, str] = {}
+        """By folder, one line for each run whose record or summary could not be read at the last query; these
+        runs are left out."""
 
     def rows(self, study: str | None = None) -> list[RunRow]:
         """Return all runs, or those of a study, oldest first.
 
         A run whose session process has ended counts as KILLED.
         """
-        self.notices = []
+        self.notices = {}
         if not self.root.is_dir():
             return []
         try:
@@ -110,6 +111,7 @@ class RunIndex:
         if not changed and not gone:
             return
         values = list(self._changed_values(changed))
+        gone += map(str, self.notices)
         slots = ",".join("?" * (len(_COLUMNS) + 1))
         database.execute("BEGIN IMMEDIATE")
         database.executemany("DELETE FROM runs WHERE directory = ?", [(name,) for name in gone])
@@ -121,7 +123,12 @@ class RunIndex:
             try:
                 yield (*astuple(_row(Path(name))), stamp)
             except HeadwayError as error:
-                self.notices.append(str(error))
+                self.notices[Path(name)] = damage(Path(name), error)
+
+
+def damage(folder: Path, error: HeadwayError) -> str:
+    """Return the line about a run that is left out because a file of its folder cannot be read."""
+    return f"run {folder.name} is left out: {error}"
 
 
 def _prepare(database: sqlite3.Connection) -> None:

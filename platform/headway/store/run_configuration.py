@@ -20,7 +20,7 @@ def read_configuration(directory: Path) -> dict[str, Any]:
     import yaml
 
     path = directory / "config.yaml"
-    remedy = "restore it, or remove this run's folder to use the other runs"
+    remedy = "restore it, or remove this run's folder"
     require_regular(path)
     # The C loader is ten times faster, which is noticeable in studies with hundreds of runs.
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

@@ -175,12 +175,17 @@ def cell_name(environment: str, algorithm: str, parameters: Mapping[str, str]) -
     return f"{_slug(environment_name(environment).removesuffix('.py'))}-{_slug(algorithm)}-{digest}"
 
 
+def study_folder(root: Path, study: str) -> Path:
+    """Return the folder of a study's runs in the store `root`."""
+    return root / _slug(study)
+
+
 def create_run_folder(root: Path, study: str, cell: str, seed: int) -> tuple[str, Path]:
     """Create a run folder in `root/study` and return (run_id, folder).
 
     Raises HeadwayError if it cannot be created.
     """
-    parent = root / _slug(study)
+    parent = study_folder(root, study)
     make_folder(parent)
     while True:
         moment = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
@@ -196,12 +201,12 @@ def create_run_folder(root: Path, study: str, cell: str, seed: int) -> tuple[str
 
 def folders_of_seed(root: Path, study: str, cell: str, seed: int) -> list[Path]:
     """Return the folders of all runs of one seed of a cell, in no particular order."""
-    return [path.parent for path in (root / _slug(study)).glob(f"{cell}-s{seed}-*/{RECORD}")]
+    return [path.parent for path in (study_folder(root, study)).glob(f"{cell}-s{seed}-*/{RECORD}")]
 
 
 def rules_file(root: Path, study: str, cell: str) -> Path:
     """Return the path of the JSON file with the episodes of a cell's classical rules: rule name -> rows."""
-    return root / _slug(study) / f"{cell}.rules.json"
+    return study_folder(root, study) / f"{cell}.rules.json"
 
 
 def best_file(root: Path, study: str, cell: str) -> Path:
@@ -210,17 +215,17 @@ def best_file(root: Path, study: str, cell: str) -> Path:
     Keys: `seed` (root of the episodes' seeds), `mode`, `rules` (rule name -> rows), `runs` (run name ->
     `iteration` of the policies and `episodes`, their rows).
     """
-    return root / _slug(study) / f"{cell}.best.json"
+    return study_folder(root, study) / f"{cell}.best.json"
 
 
 def cell_summary_file(root: Path, study: str, cell: str) -> Path:
     """Return the path of the JSON file with rule returns, session energy and status of a cell."""
-    return root / _slug(study) / f"{cell}.summary.json"
+    return study_folder(root, study) / f"{cell}.summary.json"
 
 
 def plans_folder(root: Path, study: str) -> Path:
     """Return the folder of a study's stored sweep plans."""
-    return root / _slug(study) / "sweeps"
+    return study_folder(root, study) / "sweeps"
 
 
 def search_database(root: Path, study: str) -> Path:

@@ -10,6 +10,7 @@ from shutil import copytree
 
 import pytest
 from command_lines import output, refused, rows_of
+from kept_policies import keep_run_on
 
 from headway.contracts.errors import HeadwayError
 from headway.registry import env_entry
@@ -154,6 +155,20 @@ def test_a_study_is_named_by_its_store_too(tmp_path: Path) -> None:
     assert named_studies(["a: b"], "runs") == {"a: b": (Path("runs"), "a: b")}
     with pytest.raises(HeadwayError, match="study 'bus' is named twice"):
         named_studies(["bus", "./runs:bus"], "runs")
+
+
+@pytest.mark.parametrize("name", ["config.yaml", "plan.json"])
+def test_a_damaged_run_is_left_out_unless_it_is_named(name: str, tmp_path: Path) -> None:
+    damaged, whole = (keep_run_on(tmp_path / "runs", [*GAME, f"algo={algo}"]) for algo in ("ippo", "ia2c"))
+    asked = ("compare", "kept", "--episodes", "2", "--rules", "random")
+    assert [row[0] for row in rows_of(*asked)[1:4]] == ["ia2c", "ippo", "rule random"]
+    (damaged / name).write_text("{[")
+    shown = output(*asked)
+    assert [line.split("\t")[0] for line in shown.out.splitlines()[1:]] == ["ia2c", "rule random"]
+    assert f"headway: run {damaged.name} is left out: {damaged / name} " in shown.err
+    assert len(rows_of("runs")) == 3
+    assert f"{name} " in refused("evaluate", damaged.name)
+    output("evaluate", whole.name, "--episodes", "1")
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from command_lines import output, refused
-from stored_runs import keep
+from stored_runs import RESULTS, keep
 
 from headway.events import Row
 from headway.store.atomic_files import write_json
@@ -32,7 +32,8 @@ EPISODE: Row = {"iteration": 1, "env_steps": 64, "copy": 0, "mean_wait_min": 7.0
 def runs(empty_folder: Path) -> list[str]:
     """Names of two runs of a study, in a store in the working directory."""
     logs = {"curve": CURVE, "episodes": [EPISODE]}
-    summary, config = {"final_reward": 2.5, "kwh": 0.125}, {"algo": {"name": "ippo", "lr": 0.001}}
+    summary = {"final_reward": 2.5, "kwh": 0.125}
+    config = {**RESULTS["config"], "algo": {"name": "ippo", "lr": 0.001}}
     whole = {"summary": summary, "config": config, "logs": logs, "iterations": 2, "started": STARTED}
     return [keep(Path("runs"), "lines", seed, **whole).name for seed in range(2)]
 
@@ -116,8 +117,9 @@ def _keep_evaluated(algo: str, seed: int, points: tuple[int, ...] = (0, 64)) -> 
             for episode in range(4 if final else 2)
         ]
         rows += [*played, {**played[0], "mode": "sampled", "return": -1.0}]
-    config = {"evaluation": {"episodes": 2, "modes": ["greedy", "sampled"]}}
-    keep(Path("runs"), "marl", seed, "Bus", algo, algo, config=config, logs={"evaluation": rows})
+    config = {**RESULTS["config"], "evaluation": {"episodes": 2, "modes": ["greedy", "sampled"]}}
+    logs = {**RESULTS["logs"], "evaluation": rows}
+    keep(Path("runs"), "marl", seed, "Bus", algo, algo, config=config, logs=logs)
 
 
 def test_marl_eval_has_the_tree_that_the_package_documents() -> None:

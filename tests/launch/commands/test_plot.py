@@ -9,12 +9,11 @@ import pandas as pd
 import pytest
 from command_lines import refused
 from matplotlib.figure import Figure
-from stored_runs import keep
+from stored_runs import RESULTS, keep
 
 from headway.contracts.errors import HeadwayError
 from headway.stats import plots
 from headway.stats.plots import colours, intervals, learning_curves, near_rules, outliers, plot_rules
-from headway.store.atomic_files import write_text
 from headway.store.query import RunSelection, select
 from headway.store.run_folder import rules_file
 from headway_launch.commands.main import run
@@ -25,14 +24,13 @@ def _keep_seed(
     root: Path, seed: int, metric: str, points: Mapping[int, float], study: str = "apart", algo: str = "a3c"
 ) -> None:
     curve = [{"iteration": step, "env_steps": step, metric: points[step]} for step in points]
-    keep(root, study, seed, algorithm=algo, logs={"curve": curve}, iterations=1)
+    keep(root, study, seed, algorithm=algo, config=RESULTS["config"], logs={"curve": curve}, iterations=1)
 
 
 @pytest.fixture
 def runs(tmp_path: Path) -> RunSelection:
     _keep_seed(tmp_path, 0, "training/return", {0: 1.0}, "study", "ippo")
     [row] = select(tmp_path, study="study").rows
-    write_text(Path(row.directory) / "config.yaml", "evaluation: {episodes: 2}")
     days = [{"episode_seed": day, "return": 3.0 + day} for day in range(9)]
     rules_file(tmp_path, "study", row.cell).write_text(json.dumps({"optimal": days}))
     return select(tmp_path, study="study")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from stored_runs import ELSEWHERE, keep
+from stored_runs import ELSEWHERE, RESULTS, keep
 
 from headway.contracts.errors import HeadwayError
 from headway.store.cell_names import CellChoice, labelled_cells, names_among
@@ -26,7 +26,7 @@ def keep_run(
     moment = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=next(_SECONDS))
     started = started or moment.isoformat(timespec="milliseconds")
     names = {"policies": policies, "preset": preset, "candidate": candidate, "parameters": parameters}
-    return keep(root, "bus", seed, started=started, session=ELSEWHERE, status=status, **names).name
+    return keep(root, "bus", seed, started=started, session=ELSEWHERE, status=status, **RESULTS, **names).name
 
 
 def test_runs_left_out_are_counted_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -46,6 +46,48 @@ def test_a_seed_trained_twice_is_one_seed(tmp_path: Path, capsys: pytest.Capture
     other = keep_run(tmp_path, 3, "FINISHED", "2026-01-04T00:00:00.000+00:00", lr="0.1")
     assert [run.run_id for run in finished_runs(tmp_path, "bus").rows] == [newest, other]
     assert "2 superseded by a newer run of the same seed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "remedy"),
+    [
+        ("run.json", '{"run_id": "', "remove or repair it"),
+        ("summary.json", "[1]", "remove or repair it"),
+        ("config.yaml", "{[", "restore it, or remove this run's folder"),
+        ("config.yaml", "", "restore it, or remove this run's folder"),
+        ("config.yaml", "env: {}\nevalua", "restore it, or remove this run's folder"),
+        ("config.yaml", "env: {}\nevaluation: {}\n", "restore it, or remove this run's folder"),
+        ("config.yaml", None, "restore it, or remove this run's folder"),
+        ("curve-000001.parquet", "PAR1", "remove it to use the rest"),
+        ("curve-000001.parquet", None, "restore it, or remove this run's folder"),
+        ("evaluation-000001.parquet", "", "remove it to use the rest"),
+    ],
+)
+def test_a_damaged_run_is_left_out_and_named(
+    name: str, text: str | None, remedy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in range(3):
+        keep_run(tmp_path, seed, "FINISHED")
+    damaged = Path(RunIndex(tmp_path).rows("bus")[1].directory, name)
+    if text is None:
+        damaged.unlink()
+    else:
+        damaged.write_text(text)
+    assert [run.seed for run in finished_runs(tmp_path, "bus").rows] == [0, 2]
+    line, count = capsys.readouterr().err.splitlines()
+    file = name if text is not None or name == "config.yaml" else ""
+    assert line.startswith(f"headway: run {damaged.parent.name} is left out: {damaged.parent / file}")
+    assert line.endswith(f": {remedy}")
+    assert count == "headway: runs of bus left out: 1 damaged"
+
+
+def test_a_study_whose_runs_are_all_damaged_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bus" / keep_run(tmp_path, 0, "FINISHED") / "config.yaml").unlink()
+    with pytest.raises(HeadwayError, match="every finished run of study 'bus' is damaged"):
+        finished_runs(tmp_path, "bus")
+    assert "config.yaml cannot be read" in capsys.readouterr().err
 
 
 def test_nothing_is_printed_if_no_run_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

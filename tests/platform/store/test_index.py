@@ -78,10 +78,24 @@ def test_a_broken_record_is_a_notice(tmp_path: Path) -> None:
     (broken / "run.json").write_text('{"run_id": ')
     index = RunIndex(tmp_path)
     assert len(index.rows()) == 1
-    assert str(broken) in index.notices[0]
+    assert f"run {broken.name} is left out: {broken / 'run.json'} cannot be read" in index.notices[broken]
     (broken / "run.json").write_text(json.dumps({"run_id": "x"}))
     index.rows()
-    assert "is not a valid run record" in index.notices[0]
+    assert "is not a valid run record" in index.notices[broken]
+
+
+def test_a_run_that_was_listed_is_left_out_while_its_record_is_broken(tmp_path: Path) -> None:
+    """As in an index that is made anew."""
+    record = _run(tmp_path, 0) / "run.json"
+    [row] = RunIndex(tmp_path).rows()
+    text = record.read_text()
+    record.write_text(text[:40])
+    index = RunIndex(tmp_path)
+    for _ in range(2):
+        assert index.rows() == []
+        assert list(index.notices) == [record.parent]
+    record.write_text(text)
+    assert (index.rows(), index.notices) == ([row], {})
 
 
 @pytest.mark.parametrize(
@@ -102,7 +116,7 @@ def test_wrong_values_in_records_are_notices(tmp_path: Path, change: dict[str, o
     broken.write_text(json.dumps(json.loads(broken.read_text()) | change))
     index = RunIndex(tmp_path)
     assert [row.seed for row in index.rows()] == [0]
-    [notice] = index.notices
+    [notice] = index.notices.values()
     assert f"{broken} is not a valid run record ({problem}" in notice
 
 
@@ -120,7 +134,7 @@ def test_a_file_that_cannot_be_read_to_its_end_is_a_notice(tmp_path: Path, name:
         path.symlink_to("/dev/zero")
     index = RunIndex(tmp_path)
     assert [row.seed for row in index.rows()] == [0]
-    assert [str(path) in notice for notice in index.notices] == [True]
+    assert [str(path) in notice for notice in index.notices.values()] == [True]
 
 
 def test_a_link_to_itself_hides_no_run(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def runs_section(data: StudyData) -> Section:
     rows = [
         [
             run.run_id,
-            run.status if run.status != "FINISHED" or run.run_id in included else "FINISHED, superseded",
+            run.status if run.status != "FINISHED" or run.run_id in included else "FINISHED, excluded",
             *(formatted(float(value)) for value in shown[run.run_id].values()),
         ]
         for run in data.all_runs.rows
