@@ -1,7 +1,7 @@
 """Deterministic policy gradients on stacked actors and critics (Lillicrap et al. 2016, arXiv:1509.02971)."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -30,13 +30,6 @@ class DeterministicPolicyGradient(Method):
 
     Networks work with actions scaled to [-1, 1], and with 0 in a dimension whose bounds are equal.
     """
-
-    METRICS: ClassVar[tuple[str, ...]] = (
-        "critic/loss",
-        "critic/value",
-        "critic/gradient_norm",
-        "policy/gradient_norm",
-    )
 
     def __init__(
         self, config: DDPGConfig, spec: EnvSpec, seeds: Sequence[int], policies: int, device: torch.device

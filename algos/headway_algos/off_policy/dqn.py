@@ -4,7 +4,7 @@ Double Q-learning: van Hasselt et al. 2016, arXiv:1509.06461.
 """
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,8 +29,6 @@ from headway_algos.replay_config import MADQNConfig
 
 class QLearning(Method):
     """Networks Q(o, .) and their target networks."""
-
-    METRICS: ClassVar[tuple[str, ...]] = ("critic/loss", "critic/value", "critic/gradient_norm")
 
     def __init__(
         self, config: MADQNConfig, spec: EnvSpec, seeds: Sequence[int], policies: int, device: torch.device

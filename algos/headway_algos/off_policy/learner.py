@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,8 +27,6 @@ from headway_algos.replay_config import ReplayConfig
 class Method(ABC):
     """Update of a stack of policies from batches of transitions; its state is that of its parts."""
 
-    METRICS: ClassVar[tuple[str, ...]]
-    """Names of the metrics that `learn` returns."""
     network: StackedMLP
     """The network that the acting policy uses."""
 
@@ -77,10 +75,6 @@ class OffPolicyLearner(PolicyStack):
         self.moments = RunningStatistics(policies, spec.observation_size).to(self.device)
         self.transition_builder = TransitionBuilder(spec, config.gamma, config.n_step)
         self.replay = ReplayBuffer(spec, policies, config.capacity, self.device)
-        self.policy_of = np.empty(spec.num_agents, np.int64)
-        """(N,): index, below K, of each agent's policy."""
-        for policy, members in enumerate(self.grouping.members):
-            self.policy_of[members[members >= 0]] = policy
         self.env_steps = 0
         """Environment steps per seed so far."""
         self.progress, self.scheduled_steps = 0.0, 0
@@ -147,17 +141,13 @@ class OffPolicyLearner(PolicyStack):
 
     def _store(self, trajectory: Trajectory) -> None:
         transitions = self.transition_builder.transitions(trajectory)
-        copies, agents = np.divmod(transitions.streams, self.spec.num_agents)
-        replicas = copies // (trajectory.rewards.shape[1] // len(self.seeds))
-        self.replay.add(replicas * self.grouping.num_policies + self.policy_of[agents], transitions)
+        policies = self.grouping.policies(trajectory.rewards.shape[1], len(self.seeds))
+        self.replay.add(policies.ravel()[transitions.streams], transitions)
 
     def _learn(self, iteration: int) -> dict[str, Tensor]:
         """Return metrics (P,) as means over the gradient steps; NaN for policies that took none."""
         active = self.replay.filled >= self.config.learning_starts
-        sums = {
-            name: torch.zeros(len(active), device=self.device, dtype=self.dtype)
-            for name in self.method.METRICS
-        }
+        sums: dict[str, Tensor] = {}
         stepped = torch.from_numpy(active).to(self.device)
         random = self.generators("replay", iteration)
         updates = self.config.updates
@@ -165,7 +155,7 @@ class OffPolicyLearner(PolicyStack):
         for slots in self.replay.draws(random, active, (updates, self.config.batch_size)):
             batch = self.replay.batch(slots, self.dtype)
             for name, value in self.method.learn(self._normalised(batch, scale), active).items():
-                sums[name] += value / updates
+                sums[name] = sums.get(name, 0) + value / updates
         if scale is not None:
             sums["critic/value"] *= scale  # in units of reward
         return {name: torch.where(stepped, value, torch.nan) for name, value in sums.items()}
