@@ -66,13 +66,13 @@ class Tally:
 class Sampler:
     """Steps the copies of one shard and writes their part of the trajectory."""
 
-    def __init__(self, plan: RolloutPlan, shard: Shard, trajectory: Trajectory, own: bool = False) -> None:
-        """`plan` covers all replicas. `own`: the trajectory holds this shard only, instead of all copies."""
+    def __init__(self, plan: RolloutPlan, shard: Shard, trajectory: Trajectory) -> None:
+        """`plan` covers all replicas. `trajectory` holds all copies, or those of this shard only."""
         self.full_plan, self.shard = plan, shard
         self.plan = plan.of_replicas(shard.first_replica, shard.replicas)
         self.env = self.plan.make_for_training(shard.count)
         self.player = PolicyPlayer(self.plan, shard.count, plan.block)
-        if own:
+        if trajectory.rewards.shape[1] == shard.replicas * shard.count:
             self.views = shard_views(trajectory, shard.replicas, Shard(0, shard.replicas, 0, shard.count))
         else:
             self.views = shard_views(trajectory, plan.replicas, shard)
@@ -80,7 +80,7 @@ class Sampler:
         self._shape = (shard.replicas, shard.count)
         self.tally = Tally(shard.replicas * shard.count, plan.spec.metrics)
 
-    def begin(self, purpose: str = "env") -> None:
+    def begin(self, purpose: str) -> None:
         """Start new episodes, with seeds derived from (seed, purpose, global copy index)."""
         seeds = [child_seeds(seed, purpose, self.shard.first, self.shard.count) for seed in self.plan.seeds]
         self.observed = self.env.reset(np.concatenate(seeds))

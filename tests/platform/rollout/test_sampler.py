@@ -115,7 +115,7 @@ def _sampled(
     layout = TrajectoryLayout(plan.spec, steps, len(seeds) * copies)
     trajectory = Trajectory.allocate(layout)
     sampler = Sampler(plan, plan.whole, trajectory)
-    sampler.begin()
+    sampler.begin("env")
     trajectories, episodes = [], []
     parameters = {"shift": np.zeros(len(seeds), np.int64)}
     for iteration in range(1, iterations + 1):
@@ -172,7 +172,7 @@ def test_seeds_and_noise_belong_to_global_copies() -> None:
     plan = RolloutPlan(Clock, (), None, Clock(None, 1).spec, StepPolicy([]), (5, 6), 3, 4, 1)
     trajectory = Trajectory.allocate(TrajectoryLayout(plan.spec, 4, 6))
     sampler = Sampler(plan, Shard(0, 2, 1, 2), trajectory)  # copies 1 and 2 of both replicas
-    sampler.begin()
+    sampler.begin("env")
     expected = [child_seeds(seed, "env", copy, 1)[0] for seed in (5, 6) for copy in (1, 2)]
     assert isinstance(sampler.env, Clock)
     assert sampler.env.seeds.tolist() == expected

@@ -185,7 +185,7 @@ class WorkerService:
     ) -> None:
         """`parameters` are those of all replicas and may change between commands. `trajectory` is that of all
         workers; None: the worker has one of its shard."""
-        self.plan, self.shard, self.parameters, self.own = plan, shard, parameters, trajectory is None
+        self.plan, self.shard, self.parameters = plan, shard, parameters
         if trajectory is None:
             of_shard = plan.of_replicas(shard.first_replica, shard.replicas)
             trajectory = Trajectory.allocate(replace(of_shard, copies=shard.count).layout)
@@ -195,7 +195,7 @@ class WorkerService:
     @cached_property
     def sampler(self) -> Sampler:
         """Sampler of the shard, created on first use: workers that only evaluate need none."""
-        return Sampler(self.plan, self.shard, self.trajectory, self.own)
+        return Sampler(self.plan, self.shard, self.trajectory)
 
     @cached_property
     def contributor(self) -> Contributor | None:
