@@ -90,10 +90,8 @@ class RunLog:
         sync_folder(self.directory)
 
 
-def read(
-    directory: Path, table: Table, after: int = -1, columns: Sequence[str] | None = None
-) -> "pd.DataFrame":
-    """Return the committed rows of a table from segments newer than iteration `after`.
+def read(directory: Path, table: Table, columns: Sequence[str] | None = None) -> "pd.DataFrame":
+    """Return the committed rows of a table.
 
     They are sorted by `iteration` (if that column exists), then in the order written; without rows the frame
     is empty. `columns`: columns to read, if they exist; None: all. Columns are float64 or int64 (float64 if
@@ -103,7 +101,7 @@ def read(
     import pandas as pd
     import pyarrow as pa
 
-    tables = _tables(directory, table, after, columns)
+    tables = _tables(directory, table, columns=columns)
     if not tables:
         return pd.DataFrame()
     frame: pd.DataFrame = pa.concat_tables(tables, promote_options="permissive").to_pandas()
@@ -117,7 +115,8 @@ def read(
 def read_rows(directory: Path, table: Table, after: int = -1) -> list[dict[str, float | int | str]]:
     """Return the rows that `read` returns as mappings without missing values, without importing pandas.
 
-    Raises HeadwayError if a segment cannot be read, and if a curve's `env_steps` do not increase.
+    Segments up to iteration `after` are left out. Raises HeadwayError if a segment cannot be read, and if a
+    curve's `env_steps` do not increase.
     """
     tables = _tables(directory, table, after)
     rows = [
@@ -146,7 +145,7 @@ def merged_segments(directory: Path, table: Table) -> "pa.Table | None":
 
     Raises HeadwayError if a segment cannot be read or has columns of other types.
     """
-    tables = _tables(directory, table, after=-1)
+    tables = _tables(directory, table)
     return _concatenated(tables).combine_chunks() if tables else None
 
 
@@ -157,7 +156,7 @@ def read_curve(directory: Path, metric: str) -> dict[int, float]:
 
 
 def _tables(
-    directory: Path, table: Table, after: int, columns: Sequence[str] | None = None
+    directory: Path, table: Table, after: int = -1, columns: Sequence[str] | None = None
 ) -> "list[pa.Table]":
     import pyarrow as pa
     import pyarrow.parquet as pq

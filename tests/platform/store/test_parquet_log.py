@@ -85,7 +85,7 @@ def test_rewind_removes_rows_newer_than_the_checkpoint(tmp_path: Path) -> None:
     run.rewind(20)
     run.commit(31)
     assert list(parquet_log.read(tmp_path, "curve")["iteration"]) == [10, 20]
-    assert list(parquet_log.read(tmp_path, "curve", after=10)["iteration"]) == [20]
+    assert [row["iteration"] for row in parquet_log.read_rows(tmp_path, "curve", after=10)] == [20]
 
 
 @pytest.mark.parametrize("value", [None, [1.0], object()])
@@ -172,7 +172,7 @@ def test_a_segment_without_a_required_column_is_named(column: str, tmp_path: Pat
     run.append("evaluation", [{**row, column: 1 if column == "mode" else "\x1b[31m"}])
     run.commit(2)
     with pytest.raises(HeadwayError, match=rf"evaluation-00000\d\.parquet.* column {column}"):
-        parquet_log.read(tmp_path, "evaluation", after=1)
+        parquet_log.read_rows(tmp_path, "evaluation", after=1)
     run.append("evaluation", [row])
     run.commit(1)  # extends the segment: the first row lacks a value
     with pytest.raises(HeadwayError, match=rf"evaluation-000001\.parquet lacks values of {column}: remove"):
