@@ -52,8 +52,6 @@ def with_ids(observations: NDArray[np.float32], ids: NDArray[np.float32]) -> NDA
 
 def trajectory_with_ids(trajectory: Trajectory, ids: NDArray[np.float32]) -> Trajectory:
     """Return the trajectory with the columns of `agent_ids` appended to all its observations."""
-    if not ids.shape[1]:
-        return trajectory
     return replace(
         trajectory,
         observations=with_ids(trajectory.observations, ids),

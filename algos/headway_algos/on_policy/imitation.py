@@ -131,19 +131,10 @@ def decisions(rows: PolicyBatch, nvec: Sequence[int]) -> PolicyBatch:
     """
     if rows.masks is None:
         return rows
-    chosen = rows.selected & _allowed(rows, nvec)
-    sizes = list(nvec) or [rows.masks.shape[2]]
-    several = (torch.stack([part.sum(2) for part in torch.split(rows.masks, sizes, 2)]) > 1).any(0)
-    return replace(rows, selected=chosen & several.cpu().numpy())
-
-
-def _allowed(rows: PolicyBatch, nvec: Sequence[int]) -> NDArray[np.bool_]:
-    """Return where the action mask allows the rule's action, (P, B); the environment overrides forbidden
-    ones."""
-    if rows.masks is None:
-        return np.ones_like(rows.selected)
     options = rows.actions[..., None]
     if nvec:
         options = rows.actions + torch.tensor([0, *nvec[:-1]], device=rows.actions.device).cumsum(0)
-    allowed: NDArray[np.bool_] = rows.masks.gather(2, options).all(2).cpu().numpy()
-    return allowed
+    allowed = rows.masks.gather(2, options).all(2)
+    sizes = list(nvec) or [rows.masks.shape[2]]
+    several = (torch.stack([part.sum(2) for part in torch.split(rows.masks, sizes, 2)]) > 1).any(0)
+    return replace(rows, selected=rows.selected & (allowed & several).cpu().numpy())
