@@ -8,9 +8,8 @@ import numpy as np
 from headway.contracts import AlgoEntry, Box, Discrete, EnvSpec, HeadwayError, Lazy
 from headway_algos.agent_id import agent_ids, impossible_ids
 from headway_algos.grouping import Grouping
-from headway_algos.recipes import KERNELS
+from headway_algos.recipes import KERNELS, ReplayRecipe
 from headway_algos.replay_config import DDPGConfig, ReplayConfig
-from headway_algos.replay_recipe import ReplayRecipe
 
 if TYPE_CHECKING:
     from headway_algos.acting.exploration import EpsilonGreedyPolicy, OrnsteinUhlenbeckPolicy

@@ -7,9 +7,9 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
 
-from headway.contracts import Contributor, EnvSpec, Lazy, Learner
+from headway.contracts import Box, Contributor, Discrete, EnvSpec, Lazy, Learner
 from headway_algos.config import AlgoConfig
-from headway_algos.replay_recipe import ReplayRecipe
+from headway_algos.replay_config import ReplayConfig
 
 KERNELS = ("headway_algos.kernels",)
 """Modules of compiled kernels. Every algorithm uses at least Adam's."""
@@ -51,6 +51,22 @@ class Recipe:
     # Mappings have no hash, and configuration classes are cached per recipe.
     def __hash__(self) -> int:
         return hash(self.name)
+
+
+@dataclass(frozen=True)
+class ReplayRecipe:
+    """An off-policy algorithm: its record and its method of learning from replayed transitions."""
+
+    name: str
+    summary: str
+    """One line for `headway list algos`."""
+    source: str
+    """Paper, with its arXiv number."""
+    config: type[ReplayConfig]
+    actions: type[Discrete] | type[Box]
+    """Action space required, which also decides how the algorithm explores."""
+    make_method: Lazy
+    """A `headway_algos.off_policy.learner.MakeMethod`."""
 
 
 @cache

@@ -17,8 +17,8 @@ on-policy data.
 """
 
 from headway.contracts import Box, Lazy
+from headway_algos.recipes import ReplayRecipe
 from headway_algos.replay_config import DDPGConfig
-from headway_algos.replay_recipe import ReplayRecipe
 
 RECIPE = ReplayRecipe(
     name="ddpg",

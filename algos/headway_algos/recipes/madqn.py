@@ -16,8 +16,8 @@ Related: DDPG is the counterpart for Box actions; IPPO learns a policy from on-p
 """
 
 from headway.contracts import Discrete, Lazy
+from headway_algos.recipes import ReplayRecipe
 from headway_algos.replay_config import MADQNConfig
-from headway_algos.replay_recipe import ReplayRecipe
 
 RECIPE = ReplayRecipe(
     name="madqn",
