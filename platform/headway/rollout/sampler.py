@@ -43,20 +43,17 @@ class Tally:
         self.lengths = np.zeros(copies, np.int64)
         self.returns = np.zeros(copies)
 
-    def add(self, outcome: StepResult) -> list[tuple[int, dict[str, float | int | str]]]:
+    def add(self, outcome: StepResult) -> list[tuple[int, Row]]:
         """Add a step; return (copy, row) of each episode that ended with it."""
         self.lengths += 1
         # On small arrays `add.reduce` and `count_nonzero` are faster than the equivalent `mean` and `any`.
         self.returns += np.add.reduce(outcome.rewards, axis=1, dtype=np.float64) / outcome.rewards.shape[1]
         if not np.count_nonzero(outcome.episode_ended):
             return []
-        ended = []
+        ended: list[tuple[int, Row]] = []
         for copy in np.flatnonzero(outcome.episode_ended).tolist():
-            row: dict[str, float | int | str] = {
-                "length": int(self.lengths[copy]),
-                "return": float(self.returns[copy]),
-            }
-            row.update(zip(self.metric_names, outcome.metrics[copy].tolist(), strict=True))
+            metrics = zip(self.metric_names, outcome.metrics[copy].tolist(), strict=True)
+            row = {"length": int(self.lengths[copy]), "return": float(self.returns[copy]), **dict(metrics)}
             ended.append((copy, row))
         self.lengths[outcome.episode_ended] = 0
         self.returns[outcome.episode_ended] = 0
@@ -176,7 +173,7 @@ class Sampler:
         replica, copy = divmod(row, self.shard.count)
         return f"copy {self.shard.first + copy} of seed {self.plan.seeds[replica]}"
 
-    def _episode(self, copy: int, row: dict[str, float | int | str]) -> Episode:
+    def _episode(self, copy: int, row: Row) -> Episode:
         replica = self.shard.first_replica + copy // self.shard.count
         return Episode(replica, {"copy": self.shard.first + copy % self.shard.count, **row})
 

@@ -43,7 +43,7 @@ class RunLog:
         make_folder(directory)
         for table in TABLES:
             remove_partial(directory, f"{table}-")
-        self._rows: dict[Table, list[dict[str, float | int | str]]] = {table: [] for table in TABLES}
+        self._rows: dict[Table, list[Row]] = {table: [] for table in TABLES}
 
     def append(self, table: Table, rows: Iterable[Row]) -> None:
         """Add rows of floats, integers and strings; `commit` makes them visible and durable.
@@ -112,14 +112,14 @@ def read(directory: Path, table: Table, columns: Sequence[str] | None = None) ->
     return frame
 
 
-def read_rows(directory: Path, table: Table, after: int = -1) -> list[dict[str, float | int | str]]:
+def read_rows(directory: Path, table: Table, after: int = -1) -> list[Row]:
     """Return the rows that `read` returns as mappings without missing values, without importing pandas.
 
     Segments up to iteration `after` are left out. Raises HeadwayError if a segment cannot be read, and if a
     curve's `env_steps` do not increase.
     """
     tables = _tables(directory, table, after)
-    rows = [
+    rows: list[Row] = [
         {column: value for column, value in row.items() if value is not None}
         for content in tables
         for row in content.to_pylist()

@@ -229,52 +229,45 @@ class _Training:
 
     def _training_rows(
         self, metrics: Mapping[str, NDArray[np.float64]], episodes: list[Episode], seconds: Row
-    ) -> list[dict[str, float | int | str]]:
-        rows = []
-        for r in range(len(self.job.seeds)):
-            row: dict[str, float | int | str] = {name: float(value[r]) for name, value in metrics.items()}
-            row.update(
-                _episode_means("training", [episode.row for episode in episodes if episode.replica == r])
-            )
-            row.update(seconds)
-            rows.append(row)
-        return rows
+    ) -> list[Row]:
+        return [
+            {
+                **{name: float(value[r]) for name, value in metrics.items()},
+                **_episode_means("training", [episode.row for episode in episodes if episode.replica == r]),
+                **seconds,
+            }
+            for r in range(len(self.job.seeds))
+        ]
 
-    def _with_labels(self, rows: list[dict[str, float | int | str]]) -> list[dict[str, float | int | str]]:
-        label = {
-            "iteration": self.iteration,
-            "env_steps": self.env_steps,
-            "wall_s": self._wall_s(),
-        }
+    def _with_labels(self, rows: Sequence[Row]) -> list[Row]:
+        label = {"iteration": self.iteration, "env_steps": self.env_steps, "wall_s": self._wall_s()}
         return [{**label, **row} for row in rows]
 
-    def _evaluate(self, final: bool) -> list[dict[str, float | int | str]]:
+    def _evaluate(self, final: bool) -> list[Row]:
         """Evaluate in every mode, log the episodes and report; return one row of means per seed.
 
         The first mode decides which policies are the best so far.
         """
         evaluation, parameters = self.config.evaluation, self.learner.acting_parameters()
         count = evaluation.last_episodes if final else evaluation.episodes
-        means: list[dict[str, float | int | str]] = [{} for _ in self.job.seeds]
+        means: list[Row] = [{} for _ in self.job.seeds]
         for mode in evaluation.modes:
             episodes = self.backend.evaluate(evaluation.seed, count, mode == "greedy", parameters)
-            returns = []
-            for log, mean, played in zip(self.logs, means, episodes, strict=True):
+            group = f"evaluation_{mode}"
+            for log, played in zip(self.logs, episodes, strict=True):
                 label = {"iteration": self.iteration, "env_steps": self.env_steps, "mode": mode}
                 log.append("evaluation", [{**label, "final": int(final), **row} for row in played])
-                # Every point of a curve is a mean over the same episodes; the last evaluation has more.
-                mode_means = _episode_means(f"evaluation_{mode}", played[: evaluation.episodes])
-                mean.update(mode_means)
-                returns.append(float(mode_means[f"evaluation_{mode}/return"]))
+            # Every point of a curve is a mean over the same episodes; the last evaluation has more.
+            of_mode = [_episode_means(group, played[: evaluation.episodes]) for played in episodes]
+            returns = [row[f"{group}/return"] for row in of_mode]
+            means = [{**mean, **row} for mean, row in zip(means, of_mode, strict=True)]
             if mode == evaluation.modes[0]:
                 self.best.offer(returns, self.iteration, parameters)
             shown = float(np.mean(returns))
             self.report(EvaluationFinished(self.iteration, self.env_steps, mode, final, self._usage(), shown))
         return means
 
-    def _write_curve(
-        self, rows: list[dict[str, float | int | str]], evaluated: list[dict[str, float | int | str]] | None
-    ) -> None:
+    def _write_curve(self, rows: Sequence[Row], evaluated: Sequence[Row] | None) -> None:
         began = time.monotonic()
         for r, log in enumerate(self.logs):
             log.append("curve", [{**rows[r], **(evaluated[r] if evaluated else {})}])
@@ -418,7 +411,7 @@ def _open_mode(
     return contributors, AsynchronousMode(learner, contributors, job.config.iterations)
 
 
-def _episode_means(group: str, rows: list[Row]) -> dict[str, float | int | str]:
+def _episode_means(group: str, rows: Sequence[Row]) -> dict[str, float]:
     """Return the means of an episode table's metrics by `group/column`; empty without episodes."""
     if not rows:
         return {}
