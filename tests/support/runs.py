@@ -54,7 +54,7 @@ def job_of(
         spec = one.spec.for_policies
     rollout, policy = RolloutConfig(COPIES, STEPS, block), ENTRIES["ippo"].acting_policy(algo, spec)
     return TrainingJob(
-        RolloutPlan.of(rollout, make, (), prepared, spec, policy, tuple(seeds)),
+        RolloutPlan(make, (), prepared, spec, policy, tuple(seeds), COPIES, STEPS, block),
         ENTRIES["ippo"].learner,
         algo,
         ExperimentConfig(

@@ -135,7 +135,6 @@ def _played(
     """Play the training environment with sampled actions; yield observations and hidden states."""
     import numpy as np
 
-    from headway.config.experiment import RolloutConfig
     from headway.contracts import child_seeds, generator
     from headway.rollout.plan import RolloutPlan
     from headway.rollout.policy_player import PolicyPlayer
@@ -144,9 +143,9 @@ def _played(
     entry, acting, seed = environment.entry, trained.acting, int(trained.description.origin["seed"])
     compile_kernels(entry)
     copies = min(_COPIES, trained.spec.max_copies_per_process or _COPIES)
-    rollout = RolloutConfig(copies=copies, block=copies)
     spec, training = trained.spec.for_policies, environment.training
-    plan = RolloutPlan.of(rollout, entry.make, (), environment.prepared, spec, acting, (seed,), training)
+    shared = environment.prepared
+    plan = RolloutPlan(entry.make, (), shared, spec, acting, (seed,), copies, _STEPS, copies, training)
     player = PolicyPlayer(plan, copies, copies)
     draws = [generator(seed, "export action", copy) for copy in range(copies)]
     noise = np.stack([acting.noise(draw, _STEPS) for draw in draws], axis=1)

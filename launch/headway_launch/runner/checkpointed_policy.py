@@ -55,7 +55,10 @@ def stored_policy(
         ) from error
     for line in notices:
         print(f"headway: {line}", file=sys.stderr)
-    plan = RolloutPlan.of(rollout, env.make, env.preload, environment.prepared, spec, policy, (seed,))
+    plan = RolloutPlan(
+        env.make, env.preload, environment.prepared, spec, policy, (seed,), rollout.copies, rollout.steps,
+        rollout.block,
+    )  # fmt: skip
     return TrainedPolicy(plan, parameters, iteration)
 
 

@@ -55,16 +55,19 @@ class PlannedJob:
     ) -> Self:
         """Return a new job that trains `seeds` with `config`."""
         entry, algo, spec = experiment.env, experiment.algo, environment.spec.for_policies
-        plan = RolloutPlan.of(
-            config.rollout,
+        plan = RolloutPlan(
             entry.make,
             (*entry.preload, *algo.kernels, *algo.preload),
             environment.prepared,
             spec,
             algo.acting_policy(experiment.algo_config, spec),
             seeds,
+            config.rollout.copies,
+            config.rollout.steps,
+            config.rollout.block,
             environment.training,
-            algo.contributor and partial(algo.contributor, experiment.algo_config, spec, seeds),
+            make_contributor=algo.contributor
+            and partial(algo.contributor, experiment.algo_config, spec, seeds),
         )
         later_plans = tuple(
             replace(plan, training_prepared=data, stage=stage)

@@ -6,9 +6,8 @@ again on resume.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any
 
-from headway.config.experiment import RolloutConfig
 from headway.contracts import BatchedEnv, Contributor, EnvSpec, HeadwayError, Rule, TrajectoryLayout
 from headway.contracts.acting_policy import ActingPolicy, Parameters, hidden_size
 from headway.rollout.scaled_actions import ScaledActions
@@ -103,25 +102,6 @@ class RolloutPlan:
     make_contributor: Callable[[], Contributor] | None = None
     """Makes the contributor of a worker of asynchronous training, which has a single seed; None: training is
     synchronous."""
-
-    @classmethod
-    def of(
-        cls,
-        rollout: RolloutConfig,
-        make_env: Callable[[Any, int], BatchedEnv],
-        preload: tuple[str, ...],
-        prepared: object,
-        spec: EnvSpec,
-        policy: ActingPolicy,
-        seeds: tuple[int, ...],
-        training_prepared: object = None,
-        make_contributor: Callable[[], Contributor] | None = None,
-    ) -> Self:
-        """Return a plan with the copies, steps and block of a configuration."""
-        return cls(
-            make_env, preload, prepared, spec, policy, seeds, rollout.copies, rollout.steps, rollout.block,
-            training_prepared, make_contributor=make_contributor,
-        )  # fmt: skip
 
     @property
     def seed_purpose(self) -> str:
