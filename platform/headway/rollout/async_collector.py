@@ -50,7 +50,7 @@ class PoolContributors:
             worker = self._next_ready() if turn is None else turn
             # Named by contribution, because a fast worker may fail in several contributions of one iteration.
             self.pool.restart_purpose = f"env restart for contribution {self.tasks[worker].number}"
-            done = self.pool.receive(worker, self.tasks[worker])
+            done = self.pool.receive(worker)
             if done is not None:
                 return worker, self.tasks.pop(worker), done
 

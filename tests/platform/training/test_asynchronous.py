@@ -312,7 +312,7 @@ def test_other_workers_continue_while_the_rollout_of_a_dead_worker_is_repeated(t
         contributors.assign(0, Contribute(1, 0, acting))
         killed.kill()
         while contributors.pool.process_ids()[0] == killed.pid:
-            contributors.pool.receive(0, contributors.tasks[0])
+            contributors.pool.receive(0)
         replacement = psutil.Process(contributors.pool.process_ids()[0])
         replacement.suspend()
         for number in (2, 3, 4):

@@ -96,34 +96,39 @@ class _Worker:
     """State after the last command other than an evaluation."""
     usage: Usage = field(default_factory=Usage)
     pending: list[Command] = field(default_factory=list)
-    """Commands that a replacement has yet to execute; the first one is in progress."""
+    """Commands to execute, the first of which is in progress: of a replacement, first those that restore its
+    state. Empty: the worker is idle."""
     failures: int = 0
     """Failures of the workers that it replaced since the last executed command, except lost machines."""
     lost_machines: int = 0
     """Lost machines of the workers that it replaced since the last executed command."""
-    command: Command | None = None
-    """Command sent last."""
     sent_at: float = 0.0
-    """Time of sending it, s (`time.monotonic`)."""
+    """Time of sending the command in progress, s (`time.monotonic`)."""
     is_noticed: bool = False
     """The user has been told that its answer is late: its time limit is far off or unknown."""
 
-    def send(self, command: Command) -> None:
-        """Send a command."""
-        self.command, self.sent_at, self.is_noticed = command, time.monotonic(), False
-        self.link.send(command)
+    def send(self, *commands: Command) -> None:
+        """Send the first of the commands to execute."""
+        self.pending = list(commands)
+        self.sent_at, self.is_noticed = time.monotonic(), False
+        self.link.send(commands[0])
+
+    @property
+    def command(self) -> Command:
+        """Command in progress."""
+        return self.pending[0]
 
     @property
     def waited_s(self) -> float:
-        """Seconds since the last command was sent."""
+        """Seconds since the command in progress was sent."""
         return time.monotonic() - self.sent_at
 
-    def update(self, command: Command, done: Done) -> None:
-        """Update the state from the answer to a command."""
+    def update(self, done: Done) -> None:
+        """Update the state from the answer to the command in progress."""
         self.raise_cpu_seconds(done.usage.cpu_seconds)
         self.has_answered = True
         self.usage = replace(done.usage, cpu_seconds=self.usage.cpu_seconds)
-        if not isinstance(command, Evaluate):
+        if not isinstance(self.pending.pop(0), Evaluate):
             self.begun, self.snapshot = True, done.snapshot
 
     def raise_cpu_seconds(self, cpu_seconds: float) -> None:
@@ -168,14 +173,14 @@ class WorkerPool:
         """Execute one command per worker in parallel, in the order of the shards."""
         for shard, command in enumerate(commands):
             self.send(shard, command)
-        return [self.answer(shard, command) for shard, command in enumerate(commands)]
+        return [self.answer(shard) for shard in range(len(commands))]
 
     def send(self, shard: int, command: Command) -> None:
         """Send a command to one worker."""
         self.workers[shard].send(command)
 
     def answered(self, shards: Sequence[int], timeout_s: float | None) -> list[int]:
-        """Return which of the workers have answered, died or taken too long, in order.
+        """Return which of the workers, all busy, have answered, died or taken too long, in order.
 
         At least one, or none after the timeout; None: no timeout.
         """
@@ -194,8 +199,6 @@ class WorkerPool:
         """Return whether a worker has exceeded its limit; notify the user of a late worker with a distant
         limit."""
         worker = self.workers[shard]
-        if worker.command is None:
-            return False
         limit, waited = self._limit_s(worker), worker.waited_s
         if MIN_TIMEOUT_S <= waited < limit and self._is_notice_due(worker):
             worker.is_noticed = True
@@ -211,8 +214,6 @@ class WorkerPool:
 
         A replacement has twice the time, in case the first was only slow.
         """
-        if worker.command is None:
-            return inf
         starts = self._makes_environments(worker)
         limit = self.start_timeout_s if starts else self.timeouts[type(worker.command)].limit_s
         return limit * (2.0 if worker.failures else 1.0)
@@ -223,9 +224,7 @@ class WorkerPool:
 
     def _is_notice_due(self, worker: _Worker) -> bool:
         """Return whether the user is told if a worker is late, because its limit is far off or unknown."""
-        return not worker.is_noticed and (
-            self._limit_s(worker) == inf or (self._makes_environments(worker) and worker.command is not None)
-        )
+        return not worker.is_noticed and (self._limit_s(worker) == inf or self._makes_environments(worker))
 
     def _notice_in_s(self, shard: int) -> float:
         """Return the seconds until a worker is overdue or a notice of it is due."""
@@ -266,16 +265,16 @@ class WorkerPool:
             self.workers[shard].link.kill()
         self.launcher.dismiss([worker.link for worker in self.workers])
 
-    def answer(self, shard: int, command: Command) -> Done:
-        """Wait for the answer to a command that was sent; replace the worker if it fails.
+    def answer(self, shard: int) -> Done:
+        """Wait for the answer to the command that was sent; replace the worker if it fails.
 
         Raises HeadwayError for a user error, and WorkerFailedError if the replacement fails too.
         """
-        while (done := self.receive(shard, command)) is None:
+        while (done := self.receive(shard)) is None:
             pass
         return done
 
-    def receive(self, shard: int, command: Command) -> Done | None:
+    def receive(self, shard: int) -> Done | None:
         """Return the answer, or None while a replacement worker has still to repeat commands.
 
         Errors are those of `answer`.
@@ -283,23 +282,22 @@ class WorkerPool:
         worker = self.workers[shard]
         answer = self._answer_of(shard)
         if isinstance(answer, Done):
-            worker.update(worker.pending.pop(0) if worker.pending else command, answer)
+            worker.update(answer)
             if not worker.pending:
                 worker.failures = worker.lost_machines = 0
                 return answer
-            worker.send(worker.pending[0])
+            worker.send(*worker.pending)
             return None
         if isinstance(answer, CommandFailed) and answer.is_user_error:
             raise HeadwayError(answer.line)
         self._require_replaceable(shard, answer)
-        self._replace(shard, command, answer)
+        self._replace(shard, answer)
         return None
 
     def _answer_of(self, shard: int) -> Done | CommandFailed | str:
         """Wait for a worker's answer; return it, or how the worker was lost."""
         worker, began = self.workers[shard], time.monotonic()
         link, command = worker.link, worker.command
-        assert command is not None
         link.await_start()
         # Waiting for free CPUs does not count towards the command's limit.
         worker.sent_at += time.monotonic() - began
@@ -325,7 +323,7 @@ class WorkerPool:
                 raise WorkerFailedError(f"worker {shard} failed twice: {answer.line}", answer.traceback)
             raise WorkerFailedError(f"worker {shard} failed twice ({answer})", no_traceback)
 
-    def _replace(self, shard: int, command: Command, answer: CommandFailed | str) -> None:
+    def _replace(self, shard: int, answer: CommandFailed | str) -> None:
         """Replace a worker that failed; its replacement repeats the command from the last snapshot."""
         reason = answer.line if isinstance(answer, CommandFailed) else answer
         old = self.workers[shard]
@@ -336,14 +334,14 @@ class WorkerPool:
         worker.begun, worker.snapshot = old.begun, old.snapshot
         lost = old.link.lost_with_machine
         worker.failures, worker.lost_machines = old.failures + (not lost), old.lost_machines + lost
-        worker.pending = [command]
+        commands = [old.pending[-1]]
         # An evaluation before the first episodes needs no state; Begin and Restore set it themselves.
-        if not isinstance(command, Begin | Restore) and old.begun:
-            worker.pending.insert(0, resume_command(old.snapshot, self.restart_purpose))
-        restarts = any(isinstance(step, Begin) for step in worker.pending)
+        if not isinstance(commands[0], Begin | Restore) and old.begun:
+            commands.insert(0, resume_command(old.snapshot, self.restart_purpose))
+        restarts = any(isinstance(step, Begin) for step in commands)
         consequence = "its episodes start again" if restarts else "repeating its part from the last snapshot"
         self.notify(f"worker {shard} failed ({reason}); replaced, {consequence}")
-        worker.send(worker.pending[0])
+        worker.send(*commands)
 
 
 class WorkerFailedError(WorkersLostError):

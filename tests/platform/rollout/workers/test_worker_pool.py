@@ -61,7 +61,7 @@ def _answered(*answers: Done | str, commands: Sequence[Command] = (Begin("episod
     pool = WorkerPool(_Scripted(iter(answers)), 1, notices.append)
     for command in commands:
         pool.send(0, command)
-        pool.answer(0, command)
+        pool.answer(0)
     return notices
 
 
@@ -104,14 +104,15 @@ def test_a_worker_has_more_time_until_it_has_made_its_environments() -> None:
     pool = WorkerPool(_Scripted(iter([DONE])), 1, print, timeout_s=2.0)
     [worker] = pool.workers
     for failures, limit in ((0, 60.0), (1, 4.0)):
-        worker.command, worker.failures = EVALUATION, failures
+        worker.pending, worker.failures = [EVALUATION], failures
         assert pool._limit_s(worker) == limit
     worker.failures = 0
     pool.all([EVALUATION])
+    pool.send(0, EVALUATION)
     assert pool._limit_s(worker) == 2.0
     for command in (Begin("episodes"), EVALUATION):
         derived = WorkerPool(_Scripted(iter(())), 1, print)
-        derived.workers[0].command = command
+        derived.send(0, command)
         assert derived._limit_s(derived.workers[0]) == 900.0
 
 
