@@ -55,14 +55,8 @@ class SynchronousMode:
     ) -> None:
         """A rule acts in the first `rule_iterations` of `iterations`, and a `StartingLearner` imitates it.
 
-        If `start` asks for it, an `AnchoredLearner` then stays near its first policies. Raises ValueError if
-        the rule leaves no iteration to learn in.
+        If `start` asks for it, an `AnchoredLearner` then stays near its first policies.
         """
-        if rule_iterations >= iterations:
-            raise ValueError(
-                f"the rule acts in {rule_iterations} of {iterations} iterations; leave at least one "
-                "for learning"
-            )
         self.learner, self.collector = learner, collector
         self.rule_iterations, self.start = rule_iterations, start
         self.learning_share = 1 - rule_iterations / iterations

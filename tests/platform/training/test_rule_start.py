@@ -100,13 +100,6 @@ def test_the_penalty_falls_linearly_to_0_and_the_critic_learns_first() -> None:
     assert critic_only == tuple(each[1] for each in expected)
 
 
-def test_a_rule_leaves_an_iteration_to_learn_in() -> None:
-    with collector_of(_plan("visitors", rule_iterations=2), "serial") as collector:
-        with pytest.raises(ValueError, match="acts in 2 of 2 iterations"):
-            SynchronousMode(_Spy(), collector, 2, StartConfig(), 2)
-        SynchronousMode(_Spy(), collector, 2, StartConfig(), 3)
-
-
 @pytest.mark.parametrize("stop", [2, 3, 4, 5])
 def test_a_run_that_stays_near_its_start_is_resumed_exactly(stop: int, tmp_path: Path) -> None:
     jobs = []
