@@ -66,7 +66,7 @@ class CounterfactualCritic(RegressionCritic):
         self, networks: ReturnNetworks, inputs: Tensor, batch: CriticBatch, hidden_states: HiddenStates | None
     ) -> NDArray[np.float64]:
         """Return Q (M, C, N, A) of each own action, in units of return, with the batch's other actions."""
-        outputs = self.predict(networks, inputs, batch, hidden_states)
+        outputs = networks.predict(inputs, batch, hidden_states)
         return self.layout.by_agent(outputs.transpose(1, 2), len(batch.observations))
 
     def estimate(self, trajectory: Trajectory, behaviour: BehaviourPolicy, iteration: int) -> CriticEstimate:
@@ -75,16 +75,16 @@ class CounterfactualCritic(RegressionCritic):
         batch = CriticBatch.of_steps(trajectory)
         assert batch.actions is not None
         taken, probabilities = batch.actions[..., None], behaviour.probabilities(batch)
-        rows = self.rows(batch)
+        rows = self.networks.rows(batch)
 
         def value_of(batch: CriticBatch) -> NDArray[np.float64]:
             drawn = behaviour.with_drawn_actions(batch, random)
-            inputs = self.target.inputs(*self.rows(drawn))
+            inputs = self.target.inputs(*self.target.rows(drawn))
             action_values = self._action_values(self.target, inputs, drawn, target_hidden_states)
             return np.asarray((behaviour.probabilities(batch) * action_values).sum(axis=-1))
 
         target_inputs = self.target.inputs(*rows)
-        target_hidden_states = self.target.replay(target_inputs, trajectory, self.critic_inputs, self.layout)
+        target_hidden_states = self.target.replay(target_inputs, trajectory)
         of_each = self._action_values(self.target, target_inputs, batch, target_hidden_states)
         target_values = np.take_along_axis(of_each, taken, axis=-1)[..., 0]
         # The generalised advantage of Q' plus Q' is its TD(lambda) target, with ends and absences treated
@@ -94,7 +94,7 @@ class CounterfactualCritic(RegressionCritic):
             self.config, self.spec, self.layout.replicas,
         )  # fmt: skip
         inputs = self.networks.inputs(*rows)
-        hidden_states = self.networks.replay(inputs, trajectory, self.critic_inputs, self.layout)
+        hidden_states = self.networks.replay(inputs, trajectory)
         action_values = self._action_values(self.networks, inputs, batch, hidden_states)
         return CriticEstimate(
             counterfactual_advantages(action_values, batch.actions, probabilities, present),

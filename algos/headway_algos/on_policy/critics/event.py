@@ -60,9 +60,9 @@ class EventCritic(LocalCritic):
         """Estimate values, and advantages less the contribution of the others' events."""
         own, events = super().estimate(trajectory, behaviour, iteration), self.events
         batch = CriticBatch.of_steps(trajectory)
-        inputs = events.networks.inputs(*events.rows(batch))
-        hidden_states = events.networks.replay(inputs, trajectory, events.critic_inputs, events.layout)
-        outputs = events.predict(events.networks, inputs, batch, hidden_states)
+        inputs = events.networks.inputs(*events.networks.rows(batch))
+        hidden_states = events.networks.replay(inputs, trajectory)
+        outputs = events.networks.predict(inputs, batch, hidden_states)
         contribution = events.layout.by_agent(outputs[:, 0], len(batch.observations))
         of_events = replace(
             own, values=contribution, returns=own.advantages, inputs=inputs, hidden_states=hidden_states

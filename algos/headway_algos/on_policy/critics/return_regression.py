@@ -54,7 +54,7 @@ class ReturnNetworks(nn.Module):
     ) -> None:
         """`purpose`: that of the random streams of initialisation and shuffling."""
         super().__init__()
-        self.config, self.purpose = config, purpose
+        self.config, self.critic_inputs, self.layout, self.purpose = config, critic_inputs, layout, purpose
         networks, model = critic_inputs.grouping.num_policies, config.model
         sizes = (critic_inputs.feature_size + critic_inputs.indicator_size, outputs)
         self.network = make_network(model, seeds, networks, purpose, sizes, 1.0, layout.dtype)
@@ -66,6 +66,12 @@ class ReturnNetworks(nn.Module):
         )
         self.to(layout.device)
 
+    def rows(self, batch: CriticBatch) -> tuple[Tensor, Tensor | None]:
+        """Return features before normalisation (P, B, feature_size) and indicators (P, B, indicator_size)."""
+        indicators = self.critic_inputs.indicators(batch)
+        indicator_rows = None if indicators is None else self.layout.rows(indicators)
+        return self.layout.rows(self.critic_inputs.features(batch)), indicator_rows
+
     def inputs(self, features: Tensor, indicators: Tensor | None) -> Tensor:
         """Return network inputs (P, B, input_size): normalised features, then indicators unchanged.
 
@@ -75,12 +81,12 @@ class ReturnNetworks(nn.Module):
             features = self.input_moments.normalised(features)
         return features if indicators is None else torch.cat([features, indicators], dim=2)
 
-    def predict(self, inputs: Tensor, hidden: Tensor | None = None) -> Tensor:
-        """Return outputs (P, O, B) in units of return, float64, for inputs (P, B, input_size).
+    def predict(self, inputs: Tensor, batch: CriticBatch, hidden_states: HiddenStates | None) -> Tensor:
+        """Return outputs (P, O, B) in units of return, float64, for a batch's inputs (P, B, input_size).
 
-        `hidden` (P, B, M): hidden states before each row, for recurrent networks. Computed in pieces that fit
-        the cache.
+        `hidden_states`: result of `replay`. Computed in pieces that fit the cache.
         """
+        hidden = None if hidden_states is None else self.layout.rows(batch.select_hidden(hidden_states))
         pieces = even_slices(inputs.shape[1], len(inputs), self.config.piece_samples)
         with torch.no_grad():
             parts = [
@@ -92,21 +98,19 @@ class ReturnNetworks(nn.Module):
             outputs = outputs * self.return_moments.std + self.return_moments.mean
         return outputs
 
-    def replay(
-        self, inputs: Tensor, trajectory: Trajectory, critic_inputs: CriticInputs, layout: Layout
-    ) -> HiddenStates | None:
+    def replay(self, inputs: Tensor, trajectory: Trajectory) -> HiddenStates | None:
         """Return the hidden states along a trajectory, continued from the last one; None if not recurrent.
 
         `inputs` (P, B, input_size) are the network inputs at its steps.
         """
         if not isinstance(self.network, RecurrentNetwork):
             return None
-        keeps = presence(trajectory.alive[:-1], critic_inputs)
+        keeps = presence(trajectory.alive[:-1], self.critic_inputs)
         start = self.carried
         if start is None:
             start = np.zeros((*keeps.shape[1:], self.config.model.gru_size))
-        begins, samples = stream_begins(trajectory, critic_inputs), self.config.piece_samples
-        return HiddenStates.replay(self.network, inputs, start, begins, keeps, layout, samples)
+        begins, samples = stream_begins(trajectory, self.critic_inputs), self.config.piece_samples
+        return HiddenStates.replay(self.network, inputs, start, begins, keeps, self.layout, samples)
 
     def carry(self, hidden_states: HiddenStates | None) -> None:
         """Store the hidden states at the end of this trajectory, from which the next one continues."""
@@ -244,27 +248,6 @@ class RegressionCritic(ReturnRegression):
         layout = Layout(critic_inputs.grouping, len(seeds), device, dtype)
         networks = ReturnNetworks(config, critic_inputs, outputs, seeds, layout, self.purpose)
         super().__init__(config, critic_inputs, seeds, networks, layout)
-
-    def rows(self, batch: CriticBatch) -> tuple[Tensor, Tensor | None]:
-        """Return features before normalisation (P, B, feature_size) and indicators (P, B, indicator_size)."""
-        inputs = self.critic_inputs
-        indicators = inputs.indicators(batch)
-        indicator_rows = None if indicators is None else self.layout.rows(indicators)
-        return self.layout.rows(inputs.features(batch)), indicator_rows
-
-    def predict(
-        self,
-        networks: ReturnNetworks,
-        inputs: Tensor,
-        batch: CriticBatch,
-        hidden_states: HiddenStates | None = None,
-    ) -> Tensor:
-        """Return outputs (P, O, B) in units of return, given a batch's network inputs (P, B, input_size).
-
-        `hidden_states`: those of these networks, if they are recurrent.
-        """
-        hidden = None if hidden_states is None else self.layout.rows(batch.select_hidden(hidden_states))
-        return networks.predict(inputs, hidden)
 
     def bootstrap_generators(self, iteration: int) -> list[np.random.Generator]:
         """Return a generator per replica for the actions at bootstrap values, where none were taken."""

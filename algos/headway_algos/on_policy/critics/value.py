@@ -32,16 +32,16 @@ class ValueCritic(RegressionCritic):
         def values_of(
             inputs: Tensor, batch: CriticBatch, hidden_states: HiddenStates | None
         ) -> NDArray[np.float64]:
-            outputs = self.predict(self.networks, inputs, batch, hidden_states)
+            outputs = self.networks.predict(inputs, batch, hidden_states)
             return self.layout.by_agent(outputs[:, 0], len(batch.observations), viewpoints)
 
         def value_of(batch: CriticBatch) -> NDArray[np.float64]:
             full = behaviour.with_drawn_actions(batch, random) if self.critic_inputs.needs_actions else batch
-            return values_of(self.networks.inputs(*self.rows(full)), full, hidden_states)
+            return values_of(self.networks.inputs(*self.networks.rows(full)), full, hidden_states)
 
         batch = CriticBatch.of_steps(trajectory)
-        inputs = self.networks.inputs(*self.rows(batch))
-        hidden_states = self.networks.replay(inputs, trajectory, self.critic_inputs, self.layout)
+        inputs = self.networks.inputs(*self.networks.rows(batch))
+        hidden_states = self.networks.replay(inputs, trajectory)
         values = values_of(inputs, batch, hidden_states)
         advantages, present = lambda_advantages(
             trajectory, self.critic_inputs, values, values, value_of, self.config, self.spec,
