@@ -73,7 +73,7 @@ def _replay_bytes(config: ReplayConfig, spec: EnvSpec, env_steps: int) -> int:
     members = Grouping.of(config.policies, spec).is_member.sum(axis=1)
     transitions = int(np.minimum(config.capacity, members * env_steps).sum())
     space = spec.action_space
-    mask = space.n if spec.has_action_mask and isinstance(space, Discrete) else 0
+    mask = sum(space.options) if spec.has_action_mask else 0
     action = 4 * space.size if isinstance(space, Box) else 8
     size = spec.observation_size + int(agent_ids(config, spec).shape[1])
     return transitions * (2 * 4 * size + action + mask + 2 * 8)

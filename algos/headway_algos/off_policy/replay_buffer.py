@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from headway.contracts import Box, Discrete, EnvSpec
+from headway.contracts import EnvSpec
 from headway_algos.off_policy.transitions import Transitions
 
 
@@ -27,7 +27,7 @@ class Batch:
     """(P, b)"""
     next_observations: Tensor
     """(P, b, D)"""
-    next_masks: Tensor | None
+    next_masks: Tensor | None = None
     """(P, b, A); None without action masks"""
 
 
@@ -36,19 +36,16 @@ class ReplayBuffer:
 
     def __init__(self, spec: EnvSpec, policies: int, capacity: int, device: torch.device) -> None:
         self.capacity, self.device = capacity, device
-        size = spec.observation_size
-        actions: tuple[tuple[int, ...], Any] = ((), np.int64)
-        if isinstance(spec.action_space, Box):
-            actions = (spec.action_space.size,), np.float32
+        size, space = spec.observation_size, spec.action_space
         kinds: dict[str, tuple[tuple[int, ...], Any]] = {
             "observations": ((size,), np.float32),
-            "actions": actions,
+            "actions": (space.shape, space.dtype),
             "returns": ((), np.float64),
             "discounts": ((), np.float64),
             "next_observations": ((size,), np.float32),
         }
-        if spec.has_action_mask and isinstance(spec.action_space, Discrete):
-            kinds["next_masks"] = (spec.action_space.n,), np.bool_
+        if spec.has_action_mask:
+            kinds["next_masks"] = (sum(space.options),), np.bool_
         self.arrays: dict[str, Tensor] = {
             # numpy's zeros take no memory until they are written to.
             name: torch.from_numpy(np.zeros((policies * capacity, *shape), dtype)).to(device)
@@ -94,19 +91,11 @@ class ReplayBuffer:
         rows = slots + np.arange(len(slots))[:, None] * self.capacity
         index = torch.from_numpy(rows.ravel()).to(self.device)
 
-        def taken(name: str) -> Tensor:
-            array = self.arrays[name]
+        def taken(array: Tensor) -> Tensor:
             rows = array.index_select(0, index).reshape(*slots.shape, *array.shape[1:])
             return rows.to(dtype) if rows.is_floating_point() else rows
 
-        return Batch(
-            observations=taken("observations"),
-            actions=taken("actions"),
-            returns=taken("returns"),
-            discounts=taken("discounts"),
-            next_observations=taken("next_observations"),
-            next_masks=taken("next_masks") if "next_masks" in self.arrays else None,
-        )
+        return Batch(**{name: taken(array) for name, array in self.arrays.items()})
 
     def return_scale(self) -> Tensor:
         """Return the root mean square of each policy's stored returns, (P,); 1 if all are 0."""

@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Discrete, EnvSpec, Trajectory
+from headway.contracts import EnvSpec, Trajectory
 from headway_algos.batches.layout import zero_where_absent
 from headway_algos.batches.stream_ends import last_known_masks, return_ends
 
@@ -223,7 +223,6 @@ class TransitionBuilder:
         if not state:
             self.open = None
             return
-        space, masked = self.spec.action_space, self.spec.has_action_mask
-        options = space.n if masked and isinstance(space, Discrete) else 0
+        options = sum(self.spec.action_space.options) if self.spec.has_action_mask else 0
         unmasked = np.ones((len(state["streams"]), options), np.bool_)
         self.open = OpenDecisions(**{"masks": unmasked, **state})
