@@ -20,11 +20,11 @@ from headway.stats.ranks import ranks, signed_rank_p_value
 from headway.stats.samples import mean_std
 from headway.stats.scores import (
     Band,
+    interquartile_mean,
     normalised,
     performance_profile,
     probability_of_improvement,
     sample_efficiency,
-    stratified_bootstrap_interval,
 )
 
 _PROFILE_POINTS = 101
@@ -110,7 +110,7 @@ def summary(scores: pd.DataFrame) -> pd.DataFrame:
     for controller, of_controller in scores.groupby("controller", sort=False):
         statistics = mean_std(of_controller["final_reward"].to_numpy())
         tasks = list(_by_task(of_controller).values())
-        interval, known = stratified_bootstrap_interval(tasks), _several_runs(tasks)
+        interval, known = interquartile_mean(tasks), _several_runs(tasks)
         rows.append(
             {
                 "controller": controller,

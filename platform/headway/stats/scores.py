@@ -5,7 +5,7 @@ number of runs. All definitions are those of rliable. Sources: Agarwal et al. 20
 the Statistical Precipice", arXiv:2108.13264; Efron and Tibshirani 1993 (percentile intervals).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +21,6 @@ _METHOD = "stratified bootstrap"
 _SEED = 0
 """Seed of the resampling: equal scores have equal intervals."""
 
-Statistic = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""A statistic along the last axis: (..., runs) -> (...)."""
-
 
 @dataclass(frozen=True, slots=True)
 class Band:
@@ -34,21 +31,17 @@ class Band:
     high: NDArray[np.float64]
 
 
-def stratified_bootstrap_interval(
-    scores: Sequence[ArrayLike], statistic: Statistic | None = None
-) -> Interval:
-    """Return a statistic over all scores with its percentile interval by the stratified bootstrap.
+def interquartile_mean(scores: Sequence[ArrayLike]) -> Interval:
+    """Return the interquartile mean of all scores with its percentile interval by the stratified bootstrap.
 
-    Runs are drawn with replacement within each task (Agarwal et al. 2021). `statistic` maps (..., scores) to
-    (...); default: the interquartile mean. Raises ValueError if there are no tasks, or if a task has no
-    scores or one that is not finite.
+    Runs are drawn with replacement within each task (Agarwal et al. 2021). Raises ValueError if there are no
+    tasks, or if a task has no scores or one that is not finite.
     """
     tasks = _tasks(scores, "scores")
-    evaluate = statistic or _trimmed
     generator = np.random.default_rng(_SEED)
     drawn = [task[_draw(generator, len(task), RESAMPLES)] for task in tasks]
-    estimate = float(evaluate(np.concatenate(tasks)))
-    low, high = _percentiles(evaluate(np.concatenate(drawn, axis=-1)))
+    estimate = float(_trimmed(np.concatenate(tasks)))
+    low, high = _percentiles(_trimmed(np.concatenate(drawn, axis=-1)))
     return Interval(estimate, float(low), float(high), _METHOD)
 
 
@@ -59,7 +52,7 @@ def probability_of_improvement(
 
     Runs are compared on the same task, and ties count half (the Mann-Whitney statistic; Agarwal et al. 2021).
     For the percentile interval the runs of both are drawn with replacement within each task. Raises
-    ValueError if the numbers of tasks differ, and for the reasons of `stratified_bootstrap_interval`.
+    ValueError if the numbers of tasks differ, and for the reasons of `interquartile_mean`.
     """
     left, right = _tasks(a, "a"), _tasks(b, "b")
     if len(left) != len(right):
@@ -81,7 +74,7 @@ def performance_profile(scores: Sequence[ArrayLike], thresholds: ArrayLike) -> B
     """Return the share of runs that score above each of `thresholds` (points,), with pointwise intervals.
 
     This is the run-score distribution of Agarwal et al. 2021, with percentile intervals by the stratified
-    bootstrap. Raises ValueError for the reasons of `stratified_bootstrap_interval`.
+    bootstrap. Raises ValueError for the reasons of `interquartile_mean`.
     """
     tasks, points = _tasks(scores, "scores"), as_sample(thresholds, "thresholds")
     generator = np.random.default_rng(_SEED)
@@ -97,7 +90,7 @@ def sample_efficiency(curves: Sequence[ArrayLike], resamples: int = BAND_RESAMPL
 
     `curves` holds one array of shape (runs, points) per task. Whole runs are drawn with replacement within
     each task (Agarwal et al. 2021). Raises ValueError if the numbers of points differ, and for the reasons of
-    `stratified_bootstrap_interval`.
+    `interquartile_mean`.
     """
     tasks = [as_sample(task, f"curves[{index}]", axes=2) for index, task in enumerate(curves)]
     if len({task.shape[1] for task in tasks}) != 1:

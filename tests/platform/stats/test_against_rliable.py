@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from rliable import library, metrics
 
 from headway.stats.scores import (
+    interquartile_mean,
     performance_profile,
     probability_of_improvement,
     sample_efficiency,
-    stratified_bootstrap_interval,
 )
 
 Scores = NDArray[np.float64]
@@ -37,7 +37,7 @@ def test_interquartile_means_and_their_intervals(runs: int, tasks: int) -> None:
         random_state=np.random.RandomState(1),
     )
     low, high = found["a"][:, 0]
-    ours = stratified_bootstrap_interval(by_task(scores))
+    ours = interquartile_mean(by_task(scores))
     assert ours.estimate == pytest.approx(metrics.aggregate_iqm(scores))
     assert (ours.low, ours.high) == pytest.approx((low, high), abs=0.08 * (high - low))
 

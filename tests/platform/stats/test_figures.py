@@ -11,7 +11,7 @@ from scipy import stats as scipy_stats
 from headway.stats.curves import auc, final_reward
 from headway.stats.intervals import difference_of_means, paired_difference, paired_difference_over_seeds
 from headway.stats.samples import mean_std
-from headway.stats.scores import stratified_bootstrap_interval
+from headway.stats.scores import interquartile_mean
 
 
 def test_final_reward_is_the_mean_over_the_last_fifth_of_the_steps() -> None:
@@ -155,21 +155,22 @@ def test_pairs_must_match() -> None:
 @pytest.mark.parametrize("count", [1, 3, 4, 10, 37])
 def test_interquartile_mean_is_the_trimmed_mean(count: int) -> None:
     scores = np.random.default_rng(count).normal(size=count)
-    found = stratified_bootstrap_interval([scores]).estimate
+    found = interquartile_mean([scores]).estimate
     assert found == pytest.approx(scipy_stats.trim_mean(scores, 0.25))
 
 
 def test_stratified_bootstrap_draws_within_tasks() -> None:
     # If the runs of each task are equal, draws within tasks do not vary; draws across tasks would.
-    result = stratified_bootstrap_interval([[0, 0, 0], [10, 10]], lambda scores: scores.mean(axis=-1))
-    assert (result.estimate, result.low, result.high) == (4, 4, 4)
+    result = interquartile_mean([[0, 0, 0], [10, 10]])
+    assert (result.estimate, result.low, result.high) == (10 / 3, 10 / 3, 10 / 3)
 
 
-def test_stratified_bootstrap_agrees_with_theory_for_the_mean() -> None:
+def test_stratified_bootstrap_agrees_with_the_standard_error_of_a_trimmed_mean() -> None:
     scores = np.random.default_rng(4).normal(size=400)
-    result = stratified_bootstrap_interval([scores], lambda drawn: drawn.mean(axis=-1))
-    assert (result.high - result.low) / 2 == pytest.approx(1.96 * scores.std() / 20, rel=0.05)
-    assert stratified_bootstrap_interval([scores]) == stratified_bootstrap_interval([scores])
+    result = interquartile_mean([scores])
+    error = scipy_stats.mstats.trimmed_stde(scores, limits=(0.25, 0.25))
+    assert (result.high - result.low) / 2 == pytest.approx(1.96 * error, rel=0.05)
+    assert interquartile_mean([scores]) == interquartile_mean([scores])
 
 
 def test_importing_stats_is_cheap() -> None:
