@@ -90,7 +90,7 @@ def module_entry(
     if source is None:
         record = make_dataclass("Arguments", [(key, Any) for key in arguments], frozen=True)
     else:
-        record = argument_record("Arguments", source)
+        record = argument_record(source)
     rules: Mapping[str, RuleEntry] = {}
     metrics: Mapping[str, str] = {}
     if file is not None:

@@ -21,7 +21,7 @@ def takes_any_arguments(function: Callable[..., Any]) -> bool:
     return any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters)
 
 
-def argument_record(name: str, function: Callable[..., Any], first: int = 0) -> type:
+def argument_record(function: Callable[..., Any], first: int = 0) -> type:
     """Return a frozen dataclass of the named arguments of `function` with their defaults.
 
     The first `first` arguments are left out, and those whose default YAML cannot represent. Annotations made
@@ -41,7 +41,7 @@ def argument_record(name: str, function: Callable[..., Any], first: int = 0) -> 
         else:
             continue
         fields.append((parameter.name, hint, made))
-    return make_dataclass(name, fields, frozen=True)
+    return make_dataclass("Arguments", fields, frozen=True)
 
 
 def is_plain(value: object) -> bool:

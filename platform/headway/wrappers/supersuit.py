@@ -115,7 +115,7 @@ def supersuit_entries() -> Mapping[str, WrapperEntry]:
 def _entry(name: str) -> WrapperEntry:
     record, batched = _BATCHED.get(name, (_OWN.get(name), None))
     if record is None:
-        record = argument_record("Arguments", _signature_source(name), first=1)
+        record = argument_record(_signature_source(name), first=1)
     return WrapperEntry(
         summary=_SUMMARIES.get(name, "a wrapper of SuperSuit"),
         config=record,

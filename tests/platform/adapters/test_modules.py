@@ -218,7 +218,7 @@ def test_unknown_annotations_accept_any_value() -> None:
     def function(env: object, path: Path, sizes: "list[int]", odd: "Missing" = 3) -> None:  # type: ignore[name-defined]  # noqa: F821
         pass
 
-    record = argument_record("Arguments", function, first=1)
+    record = argument_record(function, first=1)
     defaults = {row.key: row.default for row in describe(record)}
     assert defaults == {"path": "required", "sizes": "required", "odd": "3"}
     assert build(record, {"path": "x", "sizes": [1]}, "") is not None
@@ -235,7 +235,7 @@ def test_arguments_are_described_by_lines_of_the_docstring() -> None:
         :param bus: whether there is a bus
         """
 
-    described = {row.key: row.doc for row in describe(argument_record("Arguments", function))}
+    described = {row.key: row.doc for row in describe(argument_record(function))}
     assert described == {
         "cars": "agents, besides the bus",
         "steps": "length of an episode",
