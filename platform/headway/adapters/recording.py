@@ -1,6 +1,6 @@
 """Recordings of random play, and their comparison bit for bit."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -26,16 +26,19 @@ _RESULTS = (
 
 @dataclass(frozen=True)
 class Recording:
-    """T steps of random play: a trajectory, the ends of episodes and their metrics."""
+    """T steps of random play: a trajectory, and the metrics of its episodes."""
 
     spec: EnvSpec
     """Environment that was played."""
     trajectory: Trajectory
     """Trajectory of T steps. Its `log_probs` are 0."""
-    episode_ended: NDArray[np.bool_]
-    """(T, C): the copy's episode ended with the step."""
     metrics: NDArray[np.float64]
     """(T, C, M): valid where `episode_ended`."""
+
+    @property
+    def episode_ended(self) -> NDArray[np.bool_]:
+        """(T, C): the copy's episode ended with the step."""
+        return self.trajectory.episode_ended
 
     @property
     def steps(self) -> int:
@@ -52,8 +55,7 @@ class Recording:
         last = self.steps if steps is None else first + steps
         return Recording(
             self.spec,
-            _between(self.trajectory.of_copies(copy, 1), self.spec, first, last),
-            self.episode_ended[first:last, copy : copy + 1],
+            _between(self.trajectory.of_copies(copy, 1), first, last),
             self.metrics[first:last, copy : copy + 1],
         )
 
@@ -88,12 +90,11 @@ def record(
     """
     spec, copies = env.spec, env.num_copies
     track = Trajectory.allocate(TrajectoryLayout(spec, max_steps, copies))
-    ended = np.zeros((max_steps, copies), dtype=np.bool_)
     metrics = np.zeros((max_steps, copies, len(spec.metrics)))
     check_finite(spec, None, observed, step=0)
     _store_observed(track, 0, observed)
     steps = 0
-    while steps < max_steps and (ended.sum(axis=0) < episodes).any():
+    while steps < max_steps and (track.episode_ended.sum(axis=0) < episodes).any():
         actions = play.act(spec, observed)
         track.actions[steps] = actions
         outcome, observed = env.step(actions)
@@ -101,20 +102,18 @@ def record(
         check_finite(spec, outcome, observed, step=steps + 1)
         for name in _RESULTS:
             _store(getattr(track, name)[steps], getattr(outcome, name), name)
-        _store(ended[steps], outcome.episode_ended, "episode_ended")
         _store(metrics[steps], outcome.metrics, "metrics")
         steps += 1
         _store_observed(track, steps, observed)
-    return Recording(spec, _between(track, spec, 0, steps), ended[:steps], metrics[:steps])
+    return Recording(spec, _between(track, 0, steps), metrics[:steps])
 
 
 def assert_same(one: Recording, other: Recording) -> None:
     """Raise AssertionError unless both recordings agree bit for bit where the contract defines values."""
     assert one.steps == other.steps, f"{one.steps} steps, not {other.steps}"
     mine, theirs = one.trajectory, other.trajectory
-    for name in ("states", "alive", "rewards", "terminated", "truncated", "acting"):
+    for name in ("states", "alive", "rewards", "terminated", "truncated", "acting", "episode_ended"):
         np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name), name)
-    np.testing.assert_array_equal(one.episode_ended, other.episode_ended, "episode_ended")
     over = mine.terminated | mine.truncated
     compared = [
         ("observations", mine.alive),
@@ -128,9 +127,9 @@ def assert_same(one: Recording, other: Recording) -> None:
     np.testing.assert_array_equal(one.metrics[one.episode_ended], other.metrics[one.episode_ended], "metrics")
 
 
-def _between(trajectory: Trajectory, spec: EnvSpec, first: int, last: int) -> Trajectory:
+def _between(trajectory: Trajectory, first: int, last: int) -> Trajectory:
     """Return steps first to last - 1 of a trajectory, with the observations that follow."""
-    names = TrajectoryLayout(spec, steps=1, copies=1).arrays
+    names = [field.name for field in fields(trajectory)]
     return Trajectory(
         **{name: getattr(trajectory, name)[first : last + 1 if name in _OBSERVED else last] for name in names}
     )
