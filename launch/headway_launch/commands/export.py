@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Check the exported policy against the rollout worker's, write it and print the path of the file."""
-    from headway.policies.files import FORMATS, policy_bytes, require_packages
+    from headway.policies.files import FORMATS
     from headway.policies.trained_run import TrainedRun
     from headway.store.atomic_files import write_durably
     from headway_launch.console.output import print_line
@@ -59,16 +59,16 @@ def execute(arguments: argparse.Namespace) -> int:
 
     if arguments.format not in FORMATS:
         raise HeadwayError(f"--format: unknown {arguments.format!r}; {suggestion(arguments.format, FORMATS)}")
-    suffix = FORMATS[arguments.format].suffix
+    form = FORMATS[arguments.format]
     run = StoredRun.find(existing_store(arguments.store), arguments.run)
     which = "-best" if arguments.best else ""
-    output = Path(arguments.output or f"{run.directory.name}{which}{suffix}")
-    if output.suffix != suffix:
+    output = Path(arguments.output or f"{run.directory.name}{which}{form.suffix}")
+    if output.suffix != form.suffix:
         raise HeadwayError(
-            f"--output: {output} must end in {suffix}, the suffix of --format {arguments.format}"
+            f"--output: {output} must end in {form.suffix}, the suffix of --format {arguments.format}"
         )
     require_writable("--output", output, output.parent)
-    require_packages(arguments.format)
+    form.require_packages()
     trained = TrainedRun.read(run.directory, arguments.best)
     for line in trained.notices:
         print_line(f"headway: {line}")
@@ -78,12 +78,12 @@ def execute(arguments: argparse.Namespace) -> int:
     if environment is not None and (source := getattr(environment.prepared, "source", None)):
         description = replace(description, origin={**description.origin, "data": source})
     print_line(f"making the file, {arguments.format}")
-    content = policy_bytes(arguments.format, description, trained.arrays)
+    content = form.contents(description, trained.arrays)
     try:
-        rows = _compared(content, suffix, trained, environment)
+        rows = _compared(content, form.suffix, trained, environment)
     except EnvironmentRaisedError as error:
         environment, reason = None, str(error)
-        rows = _compared(content, suffix, trained, None)
+        rows = _compared(content, form.suffix, trained, None)
     write_durably(output, lambda stream: stream.write(content))
     origin = "of the training environment" if environment is not None else f"drawn at random ({reason})"
     kind = "best" if arguments.best else "newest"

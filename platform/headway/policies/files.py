@@ -160,25 +160,22 @@ class Format(NamedTuple):
 
     suffix: str
     contents: Callable[[PolicyDescription, Arrays], bytes]
+    """Returns the contents of a policy's file. Raises as `require_packages`."""
     read: Callable[[Path], Policy]
+    packages: tuple[str, ...] = ()
+    """Optional packages that writing and reading need."""
+
+    def require_packages(self) -> None:
+        """Raise HeadwayError if one of the packages is not installed."""
+        for package in self.packages:
+            _imported(package)
 
 
 FORMATS: Mapping[str, Format] = {
     "npz": Format(".npz", _npz_bytes, _read_npz),
-    "onnx": Format(".onnx", _onnx_bytes, _read_onnx),
+    "onnx": Format(".onnx", _onnx_bytes, _read_onnx, ("onnx", "onnxruntime")),
     "torchscript": Format(".pt", _torchscript_bytes, _read_torchscript),
 }
-
-
-def require_packages(form: str) -> None:
-    """Raise HeadwayError if packages that a format in `FORMATS` needs are not installed."""
-    for package in ("onnx", "onnxruntime") if form == "onnx" else ():
-        _imported(package)
-
-
-def policy_bytes(form: str, description: PolicyDescription, arrays: Arrays) -> bytes:
-    """Return the contents of a policy's file of a format in `FORMATS`; raises as `require_packages`."""
-    return FORMATS[form].contents(description, arrays)
 
 
 def read_policy(path: Path) -> Policy:

@@ -30,7 +30,7 @@ from headway.contracts import (
     RecurrentPolicy,
 )
 from headway.policies import trained_run
-from headway.policies.files import FORMATS, policy_bytes, read_policy
+from headway.policies.files import FORMATS, read_policy
 from headway.policies.parity import require_parity
 from headway.policies.stored_spec import spec_json, spec_of
 from headway.policies.trained_run import TrainedRun
@@ -87,7 +87,7 @@ def test_acts_as_the_rollout_worker(kind: str, form: str, tmp_path: Path) -> Non
     source, run = kept(tmp_path, kind)
     if form != "folder":
         source = tmp_path / f"policy{FORMATS[form].suffix}"
-        source.write_bytes(policy_bytes(form, run.description, run.arrays))
+        source.write_bytes(FORMATS[form].contents(run.description, run.arrays))
     policy = load_policy(source) if form == "folder" else read_policy(source)
     space = run.spec.action_space
     seen, state = drawn(space, COPIES), None
@@ -106,7 +106,7 @@ def test_acts_as_the_rollout_worker(kind: str, form: str, tmp_path: Path) -> Non
 def test_a_small_difference_is_found(name: str, tmp_path: Path) -> None:
     _, run = kept(tmp_path, "recurrent")
     arrays = {**run.arrays, name: run.arrays[name] + np.float32(1e-3)}
-    (tmp_path / "policy.npz").write_bytes(policy_bytes("npz", run.description, arrays))
+    (tmp_path / "policy.npz").write_bytes(FORMATS["npz"].contents(run.description, arrays))
     policy, seen = load_policy(tmp_path / "policy.npz"), drawn(run.spec.action_space, COPIES)
     state = np.full((COPIES, AGENTS, 4), 0.3, np.float32)
     with pytest.raises(HeadwayError, match="differs from the rollout workers'"):
@@ -229,7 +229,7 @@ def test_a_mask_or_state_that_the_policy_does_not_have_is_refused(tmp_path: Path
 
 def test_a_file_needs_numpy_only_and_says_where_it_is_from(recurrent: Kept, tmp_path: Path) -> None:
     _, run = recurrent
-    (tmp_path / "policy.npz").write_bytes(policy_bytes("npz", run.description, run.arrays))
+    (tmp_path / "policy.npz").write_bytes(FORMATS["npz"].contents(run.description, run.arrays))
     code = (
         "import sys, numpy as np; from headway.api import load_policy; p = load_policy('policy.npz'); "
         f"p.act(np.zeros(({AGENTS}, {SIZE})), np.ones(({AGENTS}, 3)), deterministic=False); "
@@ -261,7 +261,7 @@ def test_the_description_of_observations_travels_with_a_policy(form: str, tmp_pa
     if form != "folder":
         run = TrainedRun.read(source)
         source = tmp_path / f"policy{FORMATS[form].suffix}"
-        source.write_bytes(policy_bytes(form, run.description, run.arrays))
+        source.write_bytes(FORMATS[form].contents(run.description, run.arrays))
     assert load_policy(source).observation_features == FEATURES
 
 
@@ -298,7 +298,7 @@ def test_a_bad_or_foreign_file_is_one_line(damage: str, suffix: str, recurrent: 
     if suffix == ".onnx":
         pytest.importorskip("onnxruntime")
     form = next(name for name, form in FORMATS.items() if form.suffix == suffix)
-    whole = policy_bytes(form, recurrent[1].description, recurrent[1].arrays)
+    whole = FORMATS[form].contents(recurrent[1].description, recurrent[1].arrays)
     if damage == "a byte" and suffix != ".npz":
         pytest.skip("only npz has checksums of its contents")
     middle = len(whole) // 2
@@ -316,7 +316,7 @@ def test_a_bad_or_foreign_file_is_one_line(damage: str, suffix: str, recurrent: 
 def test_an_array_of_another_shape_is_damage(recurrent: Kept, tmp_path: Path) -> None:
     _, run = recurrent
     arrays = {**run.arrays, "bias_1": run.arrays["bias_1"][:, :2]}
-    (tmp_path / "policy.npz").write_bytes(policy_bytes("npz", run.description, arrays))
+    (tmp_path / "policy.npz").write_bytes(FORMATS["npz"].contents(run.description, arrays))
     with pytest.raises(HeadwayError, match="is damaged"):
         load_policy(tmp_path / "policy.npz")
 
