@@ -25,16 +25,15 @@ class PoolContributors:
         self,
         plan: RolloutPlan,
         launcher: WorkerLauncher,
-        number: int,
         notify: Notify,
         evaluator: Evaluator,
-        timeout_s: float | None = None,
+        timeout_s: float | None,
     ) -> None:
-        self.plan, self.number, self.evaluator = plan, number, evaluator
+        self.plan, self.number, self.evaluator = plan, len(plan.block_shards), evaluator
         self.tasks: dict[int, Contribute] = {}
         self.ready: deque[int] = deque()
         """Workers that have answered, died or taken too long, until their answer is received, in order."""
-        self.pool = WorkerPool(launcher, number, notify, plan.spec.name, timeout_s)
+        self.pool = WorkerPool(launcher, self.number, notify, plan.spec.name, timeout_s)
         self.pool.unfinished = self.tasks
 
     def begin(self) -> None:

@@ -45,7 +45,7 @@ def open_contributors(backend: BackendConfig, plan: RolloutPlan, notify: Notify)
             from headway.rollout.workers.ray_workers import RayLauncher  # imports Ray, an optional extra
 
             launcher = RayLauncher(backend, plan, shards, notify)
-        return PoolContributors(plan, launcher, len(shards), notify, evaluator, backend.worker_timeout_s)
+        return PoolContributors(plan, launcher, notify, evaluator, backend.worker_timeout_s)
 
 
 @contextmanager
