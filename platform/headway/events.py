@@ -67,8 +67,6 @@ class EvaluationFinished:
     """Environment steps per seed so far."""
     mode: str
     """`greedy` or `sampled`."""
-    final: bool
-    """This is the last evaluation, after training."""
     usage: Usage
     """Usage of the training process and its workers."""
     mean_return: float

@@ -264,7 +264,7 @@ class _Training:
             if mode == evaluation.modes[0]:
                 self.best.offer(returns, self.iteration, parameters)
             shown = float(np.mean(returns))
-            self.report(EvaluationFinished(self.iteration, self.env_steps, mode, final, self._usage(), shown))
+            self.report(EvaluationFinished(self.iteration, self.env_steps, mode, self._usage(), shown))
         return means
 
     def _write_curve(self, rows: Sequence[Row], evaluated: Sequence[Row] | None) -> None:

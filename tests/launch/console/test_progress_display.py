@@ -13,7 +13,7 @@ def at(iteration: int, seconds_each: float = 2.0) -> IterationFinished:
 
 
 def evaluated(value: float) -> EvaluationFinished:
-    return EvaluationFinished(0, 0, "greedy", False, Usage(), value)
+    return EvaluationFinished(0, 0, "greedy", Usage(), value)
 
 
 def job(seed: int, label: str = "ippo", iterations: int = 0, seconds_each: float = 2.0) -> JobProgress:
@@ -156,7 +156,7 @@ def test_on_a_terminal_the_count_stays_in_place_and_goes(
 def test_the_return_of_sampled_actions_is_shown_beside_the_greedy_one() -> None:
     """The greedy policy may not change for long, although training goes on."""
     progress = job(0, "ippo", 5)
-    progress.take(EvaluationFinished(5, 5000, "sampled", False, Usage(), -12.34567))
+    progress.take(EvaluationFinished(5, 5000, "sampled", Usage(), -12.34567))
     for width in (80, 120):
         line = lines_of([progress], width, 24)[-1]
         assert "return 350 (sampled -12.35)" in line

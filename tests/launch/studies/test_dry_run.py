@@ -212,10 +212,10 @@ def test_iterations_are_measured_without_the_evaluations_between_them() -> None:
     pace = Pace(time.monotonic())
     spent = 5.0
     pace.take(Started(0, (), False))
-    pace.take(EvaluationFinished(0, 0, "greedy", False, Usage(spent, 0), 0.0))
+    pace.take(EvaluationFinished(0, 0, "greedy", Usage(spent, 0), 0.0))
     for iteration in (1, 2, 3):
         spent += 1.0
         pace.take(IterationFinished(iteration, 100 * iteration, Usage(spent, 0), spent, 0.75, 0.25))
         spent += 2.0
-        pace.take(EvaluationFinished(iteration, 100 * iteration, "greedy", False, Usage(spent, 0), 0.0))
+        pace.take(EvaluationFinished(iteration, 100 * iteration, "greedy", Usage(spent, 0), 0.0))
     assert (pace.iteration_s, pace.cpu_iteration_s, pace.cpu_start_s, len(pace.counted)) == (1.0, 1.0, 5.0, 2)

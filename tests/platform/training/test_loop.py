@@ -90,7 +90,6 @@ def test_evaluations_come_as_a_multiple_is_reached(tmp_path: Path, every: int, e
 def test_the_last_point_of_a_curve_is_the_mean_of_the_same_episodes_as_the_others(tmp_path: Path) -> None:
     events = trained(job := job_of(tmp_path, iterations=2))
     last = _of(EvaluationFinished, events)[-1]
-    assert last.final
     played = read_rows(Path(job.directories[0]), "evaluation")[-3:]
     assert [(row["mode"], row["final"], row["episode_seed"]) for row in played] == [
         ("sampled", 1, day) for day in range(3)
@@ -108,9 +107,7 @@ def test_events_come_in_order(tmp_path: Path) -> None:
     assert _end(events) == (6, False)
     assert [e.iteration for e in _of(IterationFinished, events)] == [1, 2, 3, 4, 5, 6]
     assert [e.iteration for e in _of(CheckpointSaved, events)] == [2, 4, 6]
-    assert [(e.iteration, e.final) for e in _of(EvaluationFinished, events)[::2]] == [
-        (0, False), (2, False), (4, False), (6, True),
-    ]  # fmt: skip
+    assert [e.iteration for e in _of(EvaluationFinished, events)[::2]] == [0, 2, 4, 6]
     reports = [e for e in events if isinstance(e, IterationFinished | EvaluationFinished | Finished)]
     cpu = [e.usage.cpu_seconds for e in reports if e.usage]
     assert len(cpu) == len(reports)
