@@ -96,7 +96,7 @@ def _list_envs(name: str | None) -> None:
     elif keys := describe(env_entry(_require_env(name)).config, "env.args"):
         _print_descriptions(keys)
     else:
-        from headway.adapters.modules import takes_any_keyword
+        from headway.adapters.factories import takes_any_keyword
 
         anything = is_external(name) and takes_any_keyword(name)
         passed_on = "does not list its arguments: any env.args.KEY=VALUE is passed on to it"

@@ -1,33 +1,24 @@
-"""Any PettingZoo or Gymnasium environment, by module path, Python file or id.
+"""Any PettingZoo or Gymnasium environment as a registry entry; `headway.adapters.factories` finds it.
 
-`env.id=mpe2.simple_spread_v3` and `env.id=/lab/shuttle.py`: the module or file defines `parallel_env`, or
-else `env` (agents act in turns, AEC), which PettingZoo converts to a parallel environment if the environment
-declares this to be valid, or else exactly one subclass of ParallelEnv. `env.id=pettingzoo:sisl/pursuit-v5`
-and `env.id=gymnasium:CartPole-v1`: MODULE:ID, where importing the module registers the id with PettingZoo or
-Gymnasium. A Gymnasium environment has one agent.
-`env.args` are the arguments of that function or class. A file may describe its episode metrics in a dict
-`METRICS` and have rules in a dict `RULES`, as in `EnvEntry`.
+`env.args` are the arguments of the function or class that makes it. A file may describe its episode metrics
+in a dict `METRICS` and have rules in a dict `RULES`, as in `EnvEntry`.
 """
 
-import importlib
-import os
 import re
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, make_dataclass, replace
 from functools import partial
-from types import ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headway.adapters.env_file import EnvFile, is_file_id
-from headway.adapters.installed import require_environment_module, require_registering_module
+from headway.adapters.factories import as_parallel, factory_of
 from headway.adapters.pettingzoo import NO_OPTIONS, AdapterOptions, ParallelEnvBatch
-from headway.config.schema import nearest
-from headway.config.signatures import argument_record, as_tuples, takes_any_arguments
+from headway.config.signatures import argument_record, as_tuples
 from headway.contracts import RANDOM, BatchedEnv, EnvEntry, HeadwayError, Observations, RandomRule, RuleEntry
 from headway.contracts.errors import one_line
 
@@ -58,7 +49,7 @@ class ModuleEnv:
 
     def make(self) -> Any:  # noqa: ANN401 - PettingZoo comes without types
         """Return a new ParallelEnv. Raises HeadwayError if the module or the arguments cannot be used."""
-        factory, _ = _callables(self.module, self.file)
+        factory, _ = factory_of(self.module, self.file)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
@@ -66,7 +57,7 @@ class ModuleEnv:
         except Exception as error:  # the environment's own code
             given = ", ".join(f"{key}={value}" for key, value in self.arguments.items()) or "its defaults"
             raise HeadwayError(f"{self.module} cannot be made with {given}: {one_line(error)}") from error
-        return _parallel(self.module, env)
+        return as_parallel(self.module, env)
 
 
 def module_entry(
@@ -86,7 +77,7 @@ def module_entry(
     notices: tuple[str, ...] = ()
     if file is not None and stored_digest not in (None, file.digest):
         notices = (f"{module} has changed since the run was started; results may differ from the run's",)
-    _, source = _callables(module, file)
+    _, source = factory_of(module, file)
     if source is None:
         record = make_dataclass("Arguments", [(key, Any) for key in arguments], frozen=True)
     else:
@@ -121,12 +112,6 @@ def _declared(file: EnvFile, name: str, kind: type[_Declared]) -> Mapping[str, _
                 f"env.id={file.path}: {name} must map names to {kind.__name__}, not {key!r} to {value!r}"
             )
     return declared
-
-
-def takes_any_keyword(module: str) -> bool:
-    """Return whether the environment in a module or file, or with the id MODULE:ID, accepts any keyword, so
-    that its arguments are not known. Raises HeadwayError as `module_entry` does."""
-    return _callables(module, EnvFile.read(module) if is_file_id(module) else None)[1] is None
 
 
 class ModuleRenderer:
@@ -256,134 +241,6 @@ def _outside(
 def _make_parallel(named: ModuleEnv, given: Any) -> Any:  # noqa: ANN401 - config or prepared
     prepared = given if isinstance(given, ModuleEnv) else replace(named, arguments=_non_default(given))
     return prepared.make()
-
-
-Factory = Callable[..., Any]
-
-
-def _callables(name: str, file: EnvFile | None) -> tuple[Factory, Factory | None]:
-    """Return the function that makes an environment, and the function whose signature lists its arguments, if
-    any.
-
-    Raises HeadwayError if the environment is not found.
-    """
-    if file is None and ":" in name:
-        require_registering_module(name)
-        _imported(name.partition(":")[0], named=name)
-        if (spec := _pettingzoo_spec(name)) is None:
-            return _gymnasium_callables(name)
-        factory, candidates = spec.make, [spec.entry_point]
-        if isinstance(spec.entry_point, str):
-            path, _, attribute = spec.entry_point.partition(":")
-            module = _imported(path, named=name)
-            candidates = [getattr(module, attribute), vars(module).get("raw_env")]
-    else:
-        module = _imported(name, file)
-        factory = _factory(name, module)
-        # PettingZoo's own functions pass `**kwargs` on to `raw_env`.
-        candidates = [factory, vars(module).get("raw_env"), vars(module).get("env")]
-    source = next((call for call in candidates if callable(call) and not takes_any_arguments(call)), None)
-    return factory, source
-
-
-def _pettingzoo_spec(name: str) -> Any:  # noqa: ANN401 - PettingZoo comes without types
-    """Return the entry of an id in PettingZoo's registry; None if it is not there.
-
-    Raises HeadwayError, suggesting the nearest id, for an unknown id with the prefix `pettingzoo:`.
-    """
-    import pettingzoo
-
-    module, _, env_id = name.partition(":")
-    known = {**pettingzoo.aec_registry, **pettingzoo.parallel_registry}
-    if module == "pettingzoo" and env_id not in known:
-        near = nearest(env_id, known)
-        hint = f"did you mean env=pettingzoo:{near}?" if near else "sisl/pursuit-v5 is one"
-        raise HeadwayError(f"env.id={name}: PettingZoo registers no such environment; {hint}")
-    return known.get(env_id)
-
-
-def _gymnasium_callables(name: str) -> tuple[Factory, Factory | None]:
-    import gymnasium
-    from gymnasium.envs.registration import load_env_creator
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            entry_point = gymnasium.spec(name.partition(":")[2]).entry_point
-            creator = load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
-    except Exception as error:  # an unknown id, or the environment's own code
-        raise HeadwayError(f"env.id={name} cannot be used: {one_line(error)}") from error
-    listed = creator is not None and not takes_any_arguments(creator)
-    return partial(gymnasium.make, name, disable_env_checker=True), creator if listed else None
-
-
-def _imported(path: str, file: EnvFile | None = None, named: str = "") -> ModuleType:
-    """Import a module or file; `named`: the environment's id, for messages, if it is not the path."""
-    name = named or path
-    if file is None and not named and "." in path:
-        require_environment_module(path)
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # keeps pygame's greeting off stdout
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return file.load() if file else importlib.import_module(path)
-    except ModuleNotFoundError as error:
-        raise HeadwayError(
-            f"env.id={name} needs the package {error.name}, which is not installed: pip install {error.name}"
-        ) from error
-    except Exception as error:  # the module's own code
-        raise HeadwayError(f"env.id={name} cannot be imported: {one_line(error)}") from error
-
-
-def _factory(name: str, module: ModuleType) -> Factory:
-    from pettingzoo import ParallelEnv
-
-    for attribute in ("parallel_env", "env"):
-        factory = vars(module).get(attribute)
-        if callable(factory):
-            found: Factory = factory
-            return found
-    classes = [
-        value
-        for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, ParallelEnv) and value.__module__ == module.__name__
-    ]
-    if len(classes) == 1:
-        return classes[0]
-    if classes:
-        names = ", ".join(each.__name__ for each in classes)
-        raise HeadwayError(
-            f"env.id={name} defines several environments ({names}); choose one there with a line such as "
-            f"parallel_env = {classes[-1].__name__}"
-        )
-    raise HeadwayError(
-        f"env.id={name} has neither parallel_env nor env, nor a subclass of ParallelEnv: it is not a "
-        "PettingZoo environment"
-    )
-
-
-def _parallel(name: str, env: Any) -> Any:  # noqa: ANN401 - PettingZoo comes without types
-    from gymnasium import Env
-    from pettingzoo import AECEnv, ParallelEnv
-    from pettingzoo.utils.conversions import aec_to_parallel
-
-    from headway.adapters.gymnasium import SingleAgent
-
-    if isinstance(env, ParallelEnv):
-        return env
-    if isinstance(env, Env):
-        return SingleAgent(env)
-    if not isinstance(env, AECEnv):
-        raise HeadwayError(
-            f"env.id={name} makes an object of type {type(env).__name__}, which is neither a ParallelEnv nor "
-            "an AECEnv of PettingZoo"
-        )
-    if not env.metadata.get("is_parallelizable", False):
-        raise HeadwayError(
-            f"env.id={name} is played turn by turn and its metadata does not set is_parallelizable: "
-            "all agents must act at once here; choose an environment with parallel_env"
-        )
-    return aec_to_parallel(env)
 
 
 def _non_default(config: Any) -> dict[str, Any]:  # noqa: ANN401 - a record from a signature

@@ -188,7 +188,7 @@ def test_adapter_options_are_stored_and_reach_the_adapter() -> None:
 
 def test_training_arguments_reach_the_training_environment_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """If the factory's signature is unknown, only the given arguments are known."""
-    monkeypatch.setattr("headway.adapters.modules.takes_any_arguments", lambda function: True)
+    monkeypatch.setattr("headway.adapters.factories.takes_any_arguments", lambda function: True)
     for wrappers in ("[]", "[clip_reward_v0]"):
         words = ("env.training_args.local_ratio=0.1", f"env.wrappers={wrappers}")
         experiment = compose([*SPREAD, *words])
