@@ -218,12 +218,11 @@ def _plot_curve(
     style: Mapping[str, Any],
     shaded: bool,
     remark: str = "",
-    across: str = "env_steps",
 ) -> None:
     """Plot a controller's line and its interval, if it has enough seeds: as a band or by its outlines."""
     seeds = int(curve["runs"].iloc[0]) if "runs" in curve else FEWEST_SEEDS
     runs = f" ({counted(seeds, 'seed')})" if "runs" in curve else ""
-    steps, middle = curve[across].to_numpy(), curve[column].to_numpy()
+    steps, middle = curve["env_steps"].to_numpy(), curve[column].to_numpy()
     axes.plot(
         steps, middle, label=f"{name}{runs}{remark}", linewidth=1.6, **_point_markers(len(steps)), **style
     )
@@ -236,25 +235,53 @@ def _plot_curve(
 
 
 def by_setting(
-    points: "pd.DataFrame", setting: str, label: str, styles: Mapping[str, Mapping[str, Any]]
+    points: "pd.DataFrame",
+    setting: str,
+    label: str,
+    styles: Mapping[str, Mapping[str, Any]],
+    sign: int = 1,
 ) -> "Figure":
     """Plot results by the value of a setting, one panel per `group`.
 
     `points`: columns `group`, `controller`, `setting` (the value), `runs` (0 for a rule), `mean`, `low` and
-    `high`, the ends of the interval over runs.
+    `high`, the ends of the interval over runs, which is shown from three on. Rules far from the learners
+    (`near_rules`, see there for `sign`) are only listed.
     """
     groups = list(dict.fromkeys(points["group"]))
     figure = _figure(3.9 * len(groups))
     panels = figure.subplots(len(groups), squeeze=False, sharex=True)[:, 0]
     for group, axes in zip(groups, panels, strict=True):
-        for name, curve in points[points["group"] == group].groupby("controller", sort=False):
-            if curve["runs"].iloc[0]:
-                _plot_curve(axes, str(name), curve, "mean", styles[str(name)], shaded=True, across="setting")
+        of_group = points[points["group"] == group]
+        learned = of_group[of_group["runs"] > 0]
+        for name, curve in learned.groupby("controller", sort=False):
+            fewest, most = int(curve["runs"].min()), int(curve["runs"].max())
+            seeds = f"{f'{fewest} to ' if fewest < most else ''}{counted(most, 'seed')}"
+            style, markers = styles[str(name)], _point_markers(len(curve))
+            axes.plot(
+                curve["setting"], curve["mean"], label=f"{name} ({seeds})", linewidth=1.6, **markers, **style
+            )
+            band = curve[curve["runs"] >= FEWEST_SEEDS]
+            ends = (band["low"].to_numpy(), band["high"].to_numpy())
+            axes.fill_between(band["setting"], *ends, color=style["color"], alpha=_SHADE, linewidth=0)
+        _bound_bands(axes, learned["mean"].to_numpy())
+        rules = {
+            str(name): rule
+            for name, rule in of_group[of_group["runs"] == 0].groupby("controller", sort=False)
+        }
+        means = {name: float(rule["mean"].mean()) for name, rule in rules.items()}
+        low, high = axes.get_ylim()
+        near = near_rules(means, low, high, sign)
+        axes.set_ylim(auto=None)
+        for name, rule in rules.items():
+            if name in near:
+                axes.plot(
+                    rule["setting"], rule["mean"], label=name, **_point_markers(len(rule)), **styles[name]
+                )
             else:
-                axes.plot(curve["setting"], curve["mean"], label=name, **styles[str(name)])
+                axes.plot([], [], label=f"{name} (off scale: {_four_digits(means[name])})", **styles[name])
         _style_axes(axes, setting if group == groups[-1] else "", label)
         axes.yaxis.set_major_formatter(_THOUSANDS)
-        axes.set_title(group, loc="left", fontsize="medium")
+        axes.set_title(wrapped_name(group), loc="left", fontsize="medium")
     label_ends(figure, list(panels))
     return figure
 

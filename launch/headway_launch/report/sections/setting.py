@@ -1,130 +1,156 @@
 """Section on results by the value of a swept setting, such as the share of automated vehicles."""
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 
+from headway.registry import wrapper_entry
 from headway.stats import frames, plots
 from headway_launch.console.number_formats import MISSING, formatted, with_interval
 from headway_launch.experiments.parameters import flat
 from headway_launch.report.elements import Part, Picture, Section, Table
+from headway_launch.report.sections.rewards import exact_against
 from headway_launch.report.study_data import StudyData
 from headway_launch.studies.runs import configuration
 
 FEWEST_VALUES = 3
-"""Number of values of a setting from which a table and a picture by its value are shown."""
+"""Number of values of a setting from which results by its value are shown."""
+_ARGS = "args."
 
 
 def setting_section(data: StudyData) -> Section | None:
-    """Return the section with the results by the value of the number that most tasks differ in.
+    """Return the section with the results by the value of the number in `env.args` that was swept.
 
-    None if no number in `env.args` has at least `FEWEST_VALUES` values.
+    None if none has at least `FEWEST_VALUES` values, other settings being equal, or if the last evaluations
+    lack the metric.
     """
-    swept = _swept(data)
-    if swept is None:
+    key, groups = _swept({task: _settings(data, task) for task in data.tasks})
+    points = _points(data, groups)
+    if points.empty:
         return None
-    key, groups = swept
-    points = pd.concat([_points(data, group, tasks) for group, tasks in groups.items()], ignore_index=True)
+    dashed = "; dashed: the rules on the same episodes" if (points["runs"] == 0).any() else ""
     body: list[Part] = [
         Picture(
             "by_setting",
             f"Mean {data.metric_label} in the last {data.mode} evaluation by {key}. Learners: with the 95% "
-            f"interval over seeds by Student's t, from {plots.FEWEST_SEEDS} seeds on; dashed: the rules on "
-            "the same episodes.",
-            plots.by_setting(points, key, data.metric_with_unit, data.styles),
+            f"interval over seeds by Student's t, from {plots.FEWEST_SEEDS} seeds on{dashed}.",
+            plots.by_setting(points, key, data.metric_with_unit, data.styles, data.sign),
         )
     ]
     for place, (group, tasks) in enumerate(groups.items()):
         suffix = f"_{place + 1}" if len(groups) > 1 else ""
-        body.append(_table(data, points, key, group, tasks, f"by_setting{suffix}"))
+        of_group = points[points["group"] == group].drop(columns="group")
+        body.append(_table(data, of_group, key, group, tasks, f"by_setting{suffix}"))
     return Section("by_setting", f"Results by {key}", body)
 
 
-def _swept(data: StudyData) -> tuple[str, dict[str, dict[float, str]]] | None:
-    """Return the key in `env.args` whose numbers the tasks differ in most, and the tasks by their value.
-
-    The tasks are grouped by their other settings, which differ between groups.
-    """
-    settings = {task: _settings(data, task) for task in data.tasks}
-    numbers: dict[str, set[float]] = {}
-    for own in settings.values():
-        for key, value in own.items():
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                numbers.setdefault(key, set()).add(value)
-    swept = max(numbers, key=lambda key: len(numbers[key]), default="")
-    if len(numbers.get(swept, ())) < FEWEST_VALUES:
-        return None
-    differing = [
-        key
-        for key in dict.fromkeys(key for own in settings.values() for key in own)
-        if key != swept and len({json.dumps(own.get(key)) for own in settings.values()}) > 1
-    ]
-    groups: dict[str, dict[float, str]] = {}
-    for task, own in settings.items():
-        if swept in own:
-            group = ", ".join(f"{key}={own[key]}" for key in differing if key in own)
-            groups.setdefault(group, {})[own[swept]] = task
-    complete = {
-        group: dict(sorted(tasks.items())) for group, tasks in groups.items() if len(tasks) >= FEWEST_VALUES
-    }
-    return (swept, complete) if complete else None
-
-
-def _settings(data: StudyData, task: str) -> Mapping[str, Any]:
-    """Return the settings of a task's environment, by dotted key."""
+def _settings(data: StudyData, task: str) -> dict[str, Any]:
+    """Return the settings that define a task, by dotted key without `env.`."""
     members = next(iter(data.on(task).values()))
     env = configuration(members[0].directory)["env"]
-    return {"env": env["id"], **dict(flat({"env": {"args": env["args"]}}))}
+    settings = dict(flat({name: value for name, value in env.items() if name != "training_args"}))
+    wrappers = [each for each in env.get("wrappers", ()) if not wrapper_entry(each["name"]).only_rewards]
+    return {**settings, "wrappers": wrappers, "file_digest": None}
 
 
-def _points(data: StudyData, group: str, tasks: Mapping[float, str]) -> pd.DataFrame:
-    """Return one row per value and controller.
+def _swept(settings: Mapping[str, Mapping[str, Any]]) -> tuple[str, dict[str, dict[float, str]]]:
+    """Return the key that was swept, and per group of tasks with equal other settings the task of each value.
 
-    Columns: `group`, `controller`, `setting` (the value), `runs` (0 for a rule), `mean`, `low` and `high`.
+    It is the key whose groups have the most tasks; a group has at least `FEWEST_VALUES`. `settings`: of each
+    task. Without such a key there are no groups.
     """
-    found = []
-    for value, task in tasks.items():
-        of_seeds = data.episodes[data.episodes["task"] == task].groupby(["task", "controller", "run_id"])
-        learned = of_seeds[data.column].mean().rename("value").reset_index()
-        found.append(frames.mean_curves(learned.assign(env_steps=value)))
-        means = data.rules[data.rules["task"] == task].groupby("rule")[data.column].mean()
-        names = [f"rule {rule}" for rule in means.index]
-        found.append(
-            pd.DataFrame({"controller": names, "runs": 0, "env_steps": value, "mean": means.to_numpy()})
-        )
-    points = pd.concat(found, ignore_index=True).drop(columns="task").assign(group=group)
-    return points.rename(columns={"env_steps": "setting"})
+    keys = dict.fromkeys(key for own in settings.values() for key in own if key.startswith(_ARGS))
+    by_key = {key: _groups(settings, key) for key in keys}
+    swept = max(by_key, key=lambda key: sum(map(len, by_key[key].values())), default="")
+    others = {group: json.loads(group) for group in by_key.get(swept, {})}
+    names = dict(zip(others, _names(list(others.values())), strict=True))
+    return f"env.{swept}", {names[group]: by_key[swept][group] for group in others}
+
+
+def _groups(settings: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, dict[float, str]]:
+    """Return the tasks by the number `key`, grouped by their other settings as JSON."""
+    found: dict[str, dict[float, str]] = {}
+    for task, own in settings.items():
+        value = own.get(key)
+        if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+            others = {name: other for name, other in own.items() if name != key}
+            found.setdefault(json.dumps(others, sort_keys=True), {})[value] = task
+    return {
+        others: dict(sorted(tasks.items())) for others, tasks in found.items() if len(tasks) >= FEWEST_VALUES
+    }
+
+
+def _names(groups: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a name for the settings of each group: the environment and the settings that differ."""
+    several = len({group["id"] for group in groups}) > 1
+    names = []
+    for group in groups:
+        alike = [other for other in groups if other["id"] == group["id"]]
+        differing = [key for key in group if any(other.get(key) != group[key] for other in alike)]
+        shown = [f"{key.removeprefix(_ARGS)}={group[key]}" for key in differing]
+        names.append(", ".join([group["id"]] * several + shown))
+    return names
+
+
+def _points(data: StudyData, groups: Mapping[str, Mapping[float, str]]) -> pd.DataFrame:
+    """Return one row per group, value and controller.
+
+    Columns: `group`, `controller`, `setting` (the value), `runs` (0 for a rule), `mean`, `low`, `high`, and
+    for learners those of `exact_against`.
+    """
+    rows: list[dict[str, Any]] = []
+    for group, tasks in groups.items():
+        for value, task in tasks.items():
+            place: dict[str, Any] = {"group": group, "setting": value}
+            for controller in data.on(task):
+                of_seeds = data.by_seed(task, controller, data.column).mean(axis="columns").dropna()
+                labels = {"task": task, "controller": controller, "env_steps": 0}
+                means = frames.mean_curves(pd.DataFrame({"value": of_seeds, **labels}).reset_index())
+                exact = exact_against(data.against_best_rule(task, controller))
+                rows += [
+                    place | {str(name): each for name, each in row.items()} | exact
+                    for row in means.to_dict("records")
+                ]
+            for rule in data.ranked_rules(task):
+                mean = float(data.by_episode(task, rule).mean())
+                rows.append({**place, "controller": f"rule {rule}", "runs": 0, "mean": mean})
+    learned = any(row["runs"] for row in rows)
+    return pd.DataFrame(rows if learned else []).drop(columns=["task", "env_steps"], errors="ignore")
 
 
 def _table(
     data: StudyData, points: pd.DataFrame, key: str, group: str, tasks: Mapping[float, str], name: str
 ) -> Table:
-    of_group = points[points["group"] == group]
-    means: dict[str, dict[float, float]] = {}
-    for row in of_group.to_dict("records"):
-        means.setdefault(str(row["controller"]), {})[row["setting"]] = row["mean"]
-    learners = [each for each in data.controllers if each in means]
-    rules = [each for each in data.styles if each in means and each not in learners]
-    headings = [key.removeprefix("env.args.")]
+    means = {(row["controller"], row["setting"]): row["mean"] for row in points.to_dict("records")}
+    controllers = dict.fromkeys(points["controller"])
+    learners = [each for each in data.controllers if each in controllers]
+    rules = [each for each in data.styles if each in controllers and each not in learners]
+    headings = [key.removeprefix(f"env.{_ARGS}")]
     for learner in learners:
-        headings += [learner, f"{learner} minus best rule [95%]"]
+        headings += [learner, f"{learner} minus best rule [95%]"] if rules else [learner]
     rows = []
     for value, task in tasks.items():
         cells = [formatted(value)]
         for learner in learners:
-            found = data.against_best_rule(task, learner).interval if learner in data.on(task) else None
-            difference = with_interval(found.estimate, found.low, found.high, sign="+") if found else MISSING
-            cells += [formatted(means[learner].get(value)), difference]
-        rows.append([*cells, *(formatted(means[rule].get(value)) for rule in rules)])
-    where = f", {group}" if group else ""
+            cells.append(formatted(means.get((learner, value))))
+            if rules:
+                known = (learner, value) in means
+                found = data.against_best_rule(task, learner).interval if known else None
+                cells.append(with_interval(found.estimate, found.low, found.high, "+") if found else MISSING)
+        rows.append([*cells, *(formatted(means.get((rule, value))) for rule in rules)])
+    differences = (
+        " Differences are from the rule that is best at the value, paired by episode, with 95% intervals by "
+        "Student's t, over seeds and episodes or, for one seed, over episodes."
+    )
+    where = f" ({group})" if group else ""
     return Table(
         name,
-        f"Mean {data.metric_label} in the last {data.mode} evaluation by {key}{where}. Differences are from "
-        "the rule that is best at the value, paired by episode, with 95% intervals by Student's t over seeds "
-        "and episodes.",
+        f"Mean {data.metric_label} in the last {data.mode} evaluation by {key}{where}."
+        f"{differences if rules else ''}",
         [*headings, *rules],
         rows,
-        of_group.drop(columns="group"),
+        points,
     )
