@@ -91,11 +91,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Print the runs that pass the filters."""
     from headway_launch.studies.run_filter import filter_runs
+    from headway_launch.studies.runs import print_left_out
 
     index = RunIndex(existing_store(arguments.store))
     everything = index.rows()
-    for notice in index.notices.values():
-        print(f"headway: {notice}", file=sys.stderr)
+    for folder, problem in index.notices.items():
+        print_left_out(folder, problem)
     _require_known("study", arguments.study, {row.study for row in everything})
     _require_known("env", arguments.env, {row.environment for row in everything})
     _require_known("algo", arguments.algo, {row.algorithm for row in everything})

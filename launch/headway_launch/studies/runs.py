@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from headway.config.experiment import steps_per_iteration
 from headway.config.schema import suggestion
 from headway.contracts.errors import HeadwayError
-from headway.store.run_folder import study_folder
 from headway_launch.console.output import print_line, print_notice
 from headway_launch.studies.run_filter import filter_runs
 
@@ -46,8 +45,8 @@ def finished_runs(
     """Return the newest finished run of each cell and seed of a study for which `where` holds, oldest first.
 
     Cells are named beside all of the study's, so that one has the same name before the others have finished.
-    Prints how many runs are left out because they have not finished, or because a newer run of their seed
-    has, and which are damaged. `require`: as in `included_runs`.
+    Prints how many runs are left out: unfinished, superseded by a newer run of the seed, or damaged.
+    `require`: as in `included_runs`.
 
     Raises HeadwayError if there is no such study or no such run, and for an invalid condition.
     """
@@ -64,48 +63,52 @@ def finished_runs(
 def included_runs(
     root: Path, study: str, require: Callable[[Path], object] = require_results
 ) -> tuple[list["RunRow"], list["RunRow"], list[str]]:
-    """Return all runs of a study, those that results include, as `finished_runs`, and one phrase per kind of
-    the others.
+    """Return (all runs of a study, those that results include, one phrase per reason for leaving runs out).
 
     `require` raises HeadwayError for the folder of a run with a damaged file; such a run is left out, with a
-    line that says so. Raises HeadwayError if there is no such study, and if no finished run is left.
+    line that says so, and an older one of its seed takes its place. Raises HeadwayError if there is no such
+    study, and if no finished run is left.
     """
-    from headway.store.index import RunIndex, damage
-    from headway.store.query import newest_runs
+    from headway.store.index import RunIndex
 
     index = RunIndex(root)
-    everything = index.rows()
-    folder = study_folder(index.root, study)
-    damaged = [line for run, line in index.notices.items() if run.parent == folder]
-    rows = [row for row in everything if row.study == study]
+    rows = index.rows(study)
+    damaged = dict(index.notices)
+    if not rows and not damaged:
+        studies = sorted({row.study for row in index.rows()})
+        raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
     finished = [row for row in rows if row.status == "FINISHED"]
-    newest = newest_runs(finished)
-    included: list[RunRow] = []
-    for row in newest:
+    newest: dict[tuple[str, int], RunRow] = {}
+    for row in reversed(finished):
+        if (row.cell, row.seed) in newest:
+            continue
         try:
             require(Path(row.directory))
-            included.append(row)
+            newest[row.cell, row.seed] = row
         except HeadwayError as error:
-            damaged.append(damage(Path(row.directory), error))
-    for line in damaged:
-        print_notice(line)
-    if not rows:
-        studies = sorted({row.study for row in everything})
-        raise HeadwayError(f"there is no study {study!r} in {root}; {suggestion(study, studies)}")
+            damaged[Path(row.directory)] = str(error)
+    for folder, problem in damaged.items():
+        print_left_out(folder, problem)
+    included = [row for row in finished if newest.get((row.cell, row.seed)) is row]
     others = Counter(row.status for row in rows if row.status != "FINISHED")
     kinds = ", ".join(f"{count} {status}" for status, count in sorted(others.items()))
     excluded = [f"{others.total()} not finished ({kinds})"] if others else []
-    if not finished:
+    if others and not finished:
         raise HeadwayError(
             f"study {study!r} has no finished run ({kinds}); see headway runs --study {shlex.quote(study)}"
         )
     if not included:
         raise HeadwayError(f"every finished run of study {study!r} is damaged, as the lines above say")
-    if repeats := len(finished) - len(newest):
+    if repeats := sum(Path(row.directory) not in damaged for row in finished) - len(included):
         excluded.append(f"{repeats} superseded by a newer run of the same seed")
     if damaged:
         excluded.append(f"{len(damaged)} damaged")
     return rows, included, excluded
+
+
+def print_left_out(folder: Path, problem: str) -> None:
+    """Print that the run in `folder` is left out because of a damaged file."""
+    print_notice(f"run {folder.name} is left out: {problem}")
 
 
 def curve_column(metric: str) -> str:

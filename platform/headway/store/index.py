@@ -22,6 +22,7 @@ from headway.store.run_folder import (
     read_summary,
     run_folders,
     settled,
+    study_folder,
 )
 
 _NAME = "index.sqlite"
@@ -71,13 +72,13 @@ class RunIndex:
     def __init__(self, root: Path) -> None:
         self.root = root.resolve()
         self.notices: dict[Path, str] = {}
-        """By folder, one line for each run whose record or summary could not be read at the last query; these
-        runs are left out."""
+        """By folder, the error of each run of the last query whose record or summary could not be read."""
 
     def rows(self, study: str | None = None) -> list[RunRow]:
         """Return all runs, or those of a study, oldest first.
 
-        A run whose session process has ended counts as KILLED.
+        Runs without a readable record and summary are in `notices` instead. A run whose session process has
+        ended counts as KILLED.
         """
         self.notices = {}
         if not self.root.is_dir():
@@ -91,6 +92,9 @@ class RunIndex:
             for suffix in ("", "-journal"):
                 (self.root / f"{_NAME}{suffix}").unlink(missing_ok=True)
             rows = self._query(self.root / _NAME)
+        if study is not None:
+            folder = study_folder(self.root, study)
+            self.notices = {run: line for run, line in self.notices.items() if run.parent == folder}
         current = (
             replace(row, status=settled(row.status, Process(row.host, row.pid, row.created))) for row in rows
         )
@@ -123,12 +127,7 @@ class RunIndex:
             try:
                 yield (*astuple(_row(Path(name))), stamp)
             except HeadwayError as error:
-                self.notices[Path(name)] = damage(Path(name), error)
-
-
-def damage(folder: Path, error: HeadwayError) -> str:
-    """Return the line about a run that is left out because a file of its folder cannot be read."""
-    return f"run {folder.name} is left out: {error}"
+                self.notices[Path(name)] = str(error)
 
 
 def _prepare(database: sqlite3.Connection) -> None:

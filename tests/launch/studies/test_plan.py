@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from command_lines import failed, output, refused
-from stored_runs import keep_run
+from stored_runs import keep, keep_run
 
 from headway.contracts.errors import HeadwayError
 from headway.store.atomic_files import read_json
@@ -233,6 +233,19 @@ def test_simultaneous_sessions_train_seeds_once(tmp_path: Path, capsys: pytest.C
     table = [line.split("\t")[:2] for line in capsys.readouterr().out.splitlines()]
     assert table[1:4] == [[seed, "FINISHED"] for seed in "123"]  # those of the other session too
     assert _trained(fresh) == ([], [*stored, (1, "FINISHED")])
+
+
+def test_damaged_records_of_the_study_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is left out: their seeds are trained."""
+    experiments = compose_sweep([*BASE, *SMALL, f"store.root={tmp_path}", "seed=0"])
+    broken = tmp_path / "toys" / keep_run(tmp_path, experiments[0], 0, "FINISHED") / "run.json"
+    elsewhere = keep(tmp_path, "other", 0) / "run.json"
+    for record in (broken, elsewhere):
+        record.write_text("{")
+    assert [each.new for each in StudySession.plan(experiments).progress] == [(0,)]
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"headway: {broken} cannot be read (")
+    assert "left out" not in line
 
 
 def test_a_seed_whose_run_in_another_session_has_failed_is_trained(tmp_path: Path) -> None:

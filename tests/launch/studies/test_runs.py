@@ -48,6 +48,25 @@ def test_a_seed_trained_twice_is_one_seed(tmp_path: Path, capsys: pytest.Capture
     assert "2 superseded by a newer run of the same seed" in capsys.readouterr().err
 
 
+def test_a_damaged_repeat_leaves_an_older_run_of_its_seed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of three runs of a seed the newest is damaged; of two of another, the older, which does not count."""
+    first, older, newest, other, last = [keep_run(tmp_path, seed, "FINISHED") for seed in (3, 3, 3, 4, 4)]
+    for damaged in (newest, other):
+        (tmp_path / "bus" / damaged / "config.yaml").unlink()
+    assert [run.run_id for run in finished_runs(tmp_path, "bus").rows] == [older, last]
+    shown = capsys.readouterr().err
+    assert [name in shown for name in (first, older, newest, other, last)] == [
+        False,
+        False,
+        True,
+        False,
+        False,
+    ]
+    assert "headway: runs of bus left out: 2 superseded by a newer run of the same seed, 1 damaged\n" in shown
+
+
 @pytest.mark.parametrize(
     ("name", "text", "remedy"),
     [
@@ -81,13 +100,15 @@ def test_a_damaged_run_is_left_out_and_named(
     assert count == "headway: runs of bus left out: 1 damaged"
 
 
+@pytest.mark.parametrize("name", ["config.yaml", "run.json"])
 def test_a_study_whose_runs_are_all_damaged_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "bus" / keep_run(tmp_path, 0, "FINISHED") / "config.yaml").unlink()
+    for seed in range(2):
+        (tmp_path / "bus" / keep_run(tmp_path, seed, "FINISHED") / name).write_text("{[")
     with pytest.raises(HeadwayError, match="every finished run of study 'bus' is damaged"):
         finished_runs(tmp_path, "bus")
-    assert "config.yaml cannot be read" in capsys.readouterr().err
+    assert capsys.readouterr().err.count(f"{name} cannot be read") == 2
 
 
 def test_nothing_is_printed_if_no_run_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -78,7 +78,7 @@ def test_a_broken_record_is_a_notice(tmp_path: Path) -> None:
     (broken / "run.json").write_text('{"run_id": ')
     index = RunIndex(tmp_path)
     assert len(index.rows()) == 1
-    assert f"run {broken.name} is left out: {broken / 'run.json'} cannot be read" in index.notices[broken]
+    assert index.notices[broken].startswith(f"{broken / 'run.json'} cannot be read")
     (broken / "run.json").write_text(json.dumps({"run_id": "x"}))
     index.rows()
     assert "is not a valid run record" in index.notices[broken]
