@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import combinations
 from pathlib import Path
 
@@ -84,9 +84,10 @@ def _cells(root: Path, study: str, where: Sequence[str]) -> Mapping[str, list[St
 
     Raises HeadwayError if there are none.
     """
-    runs = finished_runs(root, study, where, partial(StoredRun.read, root))
+    read = cache(partial(StoredRun.read, root))
+    runs = finished_runs(root, study, where, read)
     return {
-        label: [StoredRun.read(root, Path(row.directory)) for row in members]
+        label: [read(Path(row.directory)) for row in members]
         for label, members in labelled_cells(runs.rows, runs.beside).items()
     }
 
