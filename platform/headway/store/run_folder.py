@@ -201,7 +201,7 @@ def create_run_folder(root: Path, study: str, cell: str, seed: int) -> tuple[str
 
 def folders_of_seed(root: Path, study: str, cell: str, seed: int) -> list[Path]:
     """Return the folders of all runs of one seed of a cell, in no particular order."""
-    return [path.parent for path in (study_folder(root, study)).glob(f"{cell}-s{seed}-*/{RECORD}")]
+    return [path.parent for path in study_folder(root, study).glob(f"{cell}-s{seed}-*/{RECORD}")]
 
 
 def rules_file(root: Path, study: str, cell: str) -> Path:
