@@ -92,7 +92,8 @@ def choice_of_file(path: Path) -> str:
 def _beside(folder: Path, value: Any) -> Any:  # noqa: ANN401 - any value of a YAML file
     """Return a value with its relative paths that exist in `folder`, and not in the current one, absolute.
 
-    A word without `/` and `.` is no path, since it may be the name of packaged data, such as a scenario.
+    A word with neither `/` nor `.` is not taken for a path, since it may be the name of packaged data, such
+    as a scenario.
     """
     if isinstance(value, dict):
         return {key: _beside(folder, inner) for key, inner in value.items()}

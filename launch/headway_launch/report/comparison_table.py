@@ -122,4 +122,4 @@ COMPARISON_FORMATS: Mapping[str, Callable[[Comparison, Sequence[PairRow], str], 
         "\n".join(latex_table(table, line) for table in _page_tables(found, pairs)), end=""
     ),
 }
-"""Printers by the value of --format, of a comparison, and of pairs of learners, made by a command line."""
+"""Printer for each value of --format: (comparison, pairs of learners, command line) -> None."""

@@ -96,8 +96,8 @@ class _Worker:
     """State after the last command other than an evaluation."""
     usage: Usage = field(default_factory=Usage)
     pending: list[Command] = field(default_factory=list)
-    """Commands to execute, the first of which is in progress: of a replacement, first those that restore its
-    state. Empty: the worker is idle."""
+    """Commands not yet answered; the first is in progress. A replacement's begin with the one that restores
+    its state. Empty: idle."""
     failures: int = 0
     """Failures of the workers that it replaced since the last executed command, except lost machines."""
     lost_machines: int = 0
