@@ -1,9 +1,11 @@
 """Tables on stdout: fitted to the width of a terminal, tab-separated when piped."""
 
+import re
 import sys
 from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING, Literal
 
+from headway_launch.console.number_formats import MISSING
 from headway_launch.console.output import print_line
 
 if TYPE_CHECKING:
@@ -38,13 +40,14 @@ def print_table(
     enough, columns in `whole` are wrapped too; if that is not enough either, each row is printed as a list of
     its values. Numbers, and the columns `numbers` of formatted ones, are never wrapped. If stdout is not a
     terminal: no title, one row per line, cells separated by tabs, numbers with the same digits, without
-    separators of thousands. `note` returns the line below the table for the omitted columns, or an empty
-    string; it goes to stderr if stdout is not a terminal.
+    separators of thousands, missing ones empty. `note` returns the line below the table for the omitted
+    columns, or an empty string; it goes to stderr if stdout is not a terminal.
     """
     if not sys.stdout.isatty():
         print("\t".join(columns))
         for row in rows:
-            print("\t".join(_piped(cell) for cell in row))
+            cells = zip(columns, row, strict=True)
+            print("\t".join(_piped(_plain(cell) if name in numbers else cell) for name, cell in cells))
         if line := note(()):
             sys.stdout.flush()
             print_line(line)
@@ -171,6 +174,13 @@ def _print_as_lists(console: "Console", layout: _Layout, title: str) -> None:
             lines.append(f"{column.name:<{name_width}}  {value}")
         lines.append("")
     console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)
+
+
+def _plain(value: Value) -> Value:
+    """Return a formatted number without separators of thousands, and None for a missing one."""
+    if not isinstance(value, str):
+        return value
+    return None if value == MISSING else re.sub(r"(?<=\d),(?=\d{3})", "", value)
 
 
 def _piped(value: Value) -> str:

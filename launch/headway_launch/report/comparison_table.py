@@ -57,7 +57,7 @@ def comparison_table(comparison: Comparison, note: str = "") -> Table:
     return Table(
         "comparison",
         f"{comparison.title}.{differences if comparison.reference else ''}{note}",
-        comparison.headings,
+        comparison.headings(),
         cells,
         emphasised=frozenset(range(learners, len(cells))),
     )
@@ -95,7 +95,7 @@ def _print_tables(found: Comparison, pairs: Sequence[PairRow], line: str) -> Non
     found.show()
     if pairs:
         table = pairs_table(pairs, "pairs", "")
-        print_table(table.headings, table.rows, title="pairs of learners")
+        print_table(table.headings, table.rows, title="pairs of learners", numbers=table.headings[2:])
         print_line(pairs_note(pairs))
 
 

@@ -77,15 +77,14 @@ class Comparison:
         """Names of the rows of a page."""
         return list(dict.fromkeys(row.controller for row in self.rows))
 
-    @property
-    def headings(self) -> list[str]:
-        """Headings of `cells`."""
+    def headings(self, whole: bool = False) -> list[str]:
+        """Return the headings of `cells`. `whole`: a difference's begins with its metric, so all differ."""
         minus = f"minus {self.reference}" + " [95%]" * any(row.low is not None for row in self.rows)
         compared = self._compared
         words = (
             word
             for key, name in self.metrics.items()
-            for word in (name, *((minus,) if key in compared else ()))
+            for word in (name, *((f"{name} {minus}" if whole else minus,) if key in compared else ()))
         )
         return ["controller", "seeds", *words]
 
@@ -157,13 +156,14 @@ class Comparison:
     def show(self) -> None:
         """Print one row per controller; on a terminal, differences of several metrics in a table each."""
         if not sys.stdout.isatty():
-            print_table(self.headings, self.cells)
+            headings = self.headings(whole=True)
+            print_table(headings, self.cells, numbers=headings[1:])
             return
         groups = [[metric] for metric in self.metrics] if len(self._compared) > 1 else [list(self.metrics)]
         for group in groups:
             shown = {metric: self.metrics[metric] for metric in group}
             part = replace(self, metrics=shown, rows=[row for row in self.rows if row.metric in shown])
-            headings = part.headings
+            headings = part.headings()
             whole = headings[:1] if max(map(len, self.controllers)) <= _WHOLE_NAME else ()
             print_table(headings, part.cells, self.title, whole, headings[:3:-1], headings[1:])
 

@@ -53,7 +53,8 @@ def test_the_answer_is_one_sentence(returns: list[float], seeds: int, answer: st
     found = compared([episodes(*returns)] * seeds, **rules)
     assert found.answer == f"return: {answer.format(hold='the best rule, hold')}"
     assert [row[0] for row in found.cells] == ["ippo", "rule hold", "rule move"]
-    assert found.headings == ["controller", "seeds", "return", "minus hold" + " [95%]" * (count > 1), "wait"]
+    minus = "minus hold" + " [95%]" * (count > 1)
+    assert found.headings() == ["controller", "seeds", "return", minus, "wait"]
     alone = compared([episodes(*returns)] * seeds, hold=rules["hold"])
     assert alone.answer is not None  # with fewer digits: the other rule's interval is the narrowest
     assert alone.answer.replace(".0", "") == f"return: {answer.format(hold='the rule hold')}".replace(
@@ -111,9 +112,20 @@ def test_a_piped_table_has_one_row_per_controller(capsys: pytest.CaptureFixture[
     """The interval is 2.5 +- 12.706 x 0.5, to two significant digits of its width."""
     compared([episodes(3.0, 5.0)], hold=episodes(1.0, 2.0)).show()
     assert [line.split("\t") for line in capsys.readouterr().out.splitlines()] == [
-        ["controller", "seeds", "return", "minus hold [95%]", "wait"],
+        ["controller", "seeds", "return", "return minus hold [95%]", "wait"],
         ["ippo", "1", "4", "+2 [-4, 9]", "2"],
-        ["rule hold", "\N{EN DASH}", "2", "\N{EN DASH}", "0.7500"],
+        ["rule hold", "", "2", "", "0.7500"],
+    ]
+
+
+def test_numbers_in_a_pipe_have_no_separators_of_thousands(capsys: pytest.CaptureFixture[str]) -> None:
+    """The interval is 2,400 +- 12.706 x 400, 10,165 wide: its two digits are thousands. A name keeps its
+    comma."""
+    rules = {"hold,100": episodes(1_000_000.0, 2_000_000.0)}
+    compared([episodes(1_002_000.0, 2_002_800.0)], **rules).show()
+    assert [line.split("\t") for line in capsys.readouterr().out.splitlines()[1:]] == [
+        ["ippo", "1", "1502000", "+2000 [-3000, 7000]", "751200"],
+        ["rule hold,100", "", "1500000", "", "750000"],
     ]
 
 
