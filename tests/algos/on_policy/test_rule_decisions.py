@@ -56,15 +56,3 @@ def test_each_is_kept_with_the_same_probability() -> None:
         counts += np.bincount(np.array(kept) // 100, minlength=4)
     error = np.sqrt(25 * 0.75 * 300 / 399 / repeats)
     assert np.abs(counts / repeats - 25).max() < 4 * error
-
-
-def test_its_state_continues_it() -> None:
-    one, other = RuleDecisions(1, 2), RuleDecisions(1, 2)
-    generators = [[np.random.default_rng(p) for p in range(2)] for _ in range(2)]
-    for first in range(0, 300, 60):
-        one.include(_batch(first, np.ones((2, 60), np.bool_)), generators[0])
-        other.include(_batch(first, np.ones((2, 60), np.bool_)), generators[1])
-        restored = RuleDecisions(1, 2)
-        restored.kept = list(other.kept)
-        other = restored
-    assert _numbers(one, 1) == _numbers(other, 1)
