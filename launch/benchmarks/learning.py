@@ -66,7 +66,7 @@ def learners(case: Case) -> tuple[list[Callable[[], object]], int]:
     batch = PolicyBatch(observations, None, actions, log_probs, here)
     update = ppo_update(actor, config, layout)
     view = LocalInputs(config, spec, grouping)
-    regression = ReturnRegression(config, view, seeds, ReturnNetworks(config, view, 1, seeds, layout), layout)
+    regression = ReturnRegression(ReturnNetworks(config, view, 1, seeds, layout), seeds)
     returns = random.normal(size=(rows, case.seeds, 1))
     estimate = CriticEstimate(returns, returns, returns, here.T[..., None], observations, hidden_states=None)
     return [

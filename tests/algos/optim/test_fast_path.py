@@ -90,7 +90,7 @@ class Case:
         config, layout = self.config, self.layout
         view = LocalInputs(config, self.spec, Grouping.of("shared", self.spec))
         networks = ReturnNetworks(config, view, outputs, self.seeds, layout)
-        regression = ReturnRegression(config, view, self.seeds, networks, layout)
+        regression = ReturnRegression(networks, self.seeds)
         returns = np.stack([np.random.default_rng(s).normal(size=(ROWS, 1)) for s in self.seeds], axis=1)
         taken = None
         if outputs > 1:

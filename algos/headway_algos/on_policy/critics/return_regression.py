@@ -129,16 +129,10 @@ class ReturnNetworks(nn.Module):
 class ReturnRegression:
     """Regression of stacked value networks on returns, by minibatches."""
 
-    def __init__(
-        self,
-        config: CriticConfig,
-        critic_inputs: CriticInputs,
-        seeds: Sequence[int],
-        networks: ReturnNetworks,
-        layout: Layout,
-    ) -> None:
-        self.config, self.critic_inputs, self.seeds = config, critic_inputs, tuple(seeds)
-        self.networks, self.layout = networks, layout
+    def __init__(self, networks: ReturnNetworks, seeds: Sequence[int]) -> None:
+        self.networks, self.seeds = networks, tuple(seeds)
+        self.critic_inputs, self.layout = networks.critic_inputs, networks.layout
+        self.config = config = networks.config
         self.optimiser: StackedAdam | KFACRegression = component("critic_update", config.critic_update).make(
             config, networks.network, config.critic_lr or config.lr
         )
@@ -247,7 +241,7 @@ class RegressionCritic(ReturnRegression):
         critic_inputs, self.spec = self.Inputs(config, spec, grouping), spec
         layout = Layout(critic_inputs.grouping, len(seeds), device, dtype)
         networks = ReturnNetworks(config, critic_inputs, outputs, seeds, layout, self.purpose)
-        super().__init__(config, critic_inputs, seeds, networks, layout)
+        super().__init__(networks, seeds)
 
     def bootstrap_generators(self, iteration: int) -> list[np.random.Generator]:
         """Return a generator per replica for the actions at bootstrap values, where none were taken."""
