@@ -78,9 +78,15 @@ class StoredRun:
         """Return the experiment on its environment with other arguments, `env.args.KEY=VALUE`, and what
         each changes.
 
-        Raises HeadwayError for other keys.
+        Raises HeadwayError for other keys, which concern training only.
         """
-        mapping, changes = with_env_args(self.mapping, changed)
+        for override in changed:
+            if not override.startswith("env.args.") or "=" not in override:
+                raise HeadwayError(
+                    f"{override}: a trained policy keeps its own configuration; only env.args.KEY=VALUE can "
+                    "be changed, and options such as --episodes and --rules"
+                )
+        mapping, changes = with_env_keys(self.mapping, changed)
         experiment = resolve(mapping)
         if changes and self._files_differ(experiment):
             # The arguments name other files on purpose: no notice that a file has changed since training.
@@ -140,21 +146,6 @@ def _batch_jobs(runs: Sequence[StoredRun], known: dict[str, PreparedEnv] | None)
             job = job.with_parent(parent_run(experiment, job.training.plan.policy))
         jobs.append(replace(job, resumed=run_ids, iteration=iteration, workers=plan.workers))
     return tuple(jobs)
-
-
-def with_env_args(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
-    """Return a stored configuration with changed environment arguments, and a description of the changes.
-
-    `overrides`: `env.args.KEY=VALUE` in Hydra's grammar. Raises HeadwayError for other keys, which concern
-    training only.
-    """
-    for override in overrides:
-        if not override.startswith("env.args.") or "=" not in override:
-            raise HeadwayError(
-                f"{override}: a trained policy keeps its own configuration; only env.args.KEY=VALUE can be "
-                "changed, and options such as --episodes and --rules"
-            )
-    return with_env_keys(mapping, overrides)
 
 
 def with_env_keys(mapping: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[str]]:

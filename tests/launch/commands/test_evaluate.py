@@ -12,7 +12,7 @@ from small_runs import SMALL, stored_rows
 
 from headway.contracts import HeadwayError
 from headway_launch.commands.main import run
-from headway_launch.runner.stored_run import with_env_args
+from headway_launch.runner.stored_run import StoredRun, with_env_keys
 
 
 @pytest.mark.slow
@@ -78,16 +78,17 @@ def test_its_formats_are_those_of_compare(empty_folder: Path) -> None:
         ("env.args.steps.more=2", "env.args.steps has no keys; give its value"),
     ],
 )
-def test_other_changes_are_one_line(override: str, line: str) -> None:
+def test_other_changes_are_one_line(override: str, line: str, tmp_path: Path) -> None:
+    stored = StoredRun.read(tmp_path, keep_run_on(tmp_path, ("env=tracking", "algo=ippo")))
     with pytest.raises(HeadwayError) as caught:
-        with_env_args({"env": {"args": {"steps": 3}}}, [override])
+        stored.with_env_args([override])
     assert line in str(caught.value)
 
 
 def test_nested_arguments_are_changed_and_others_kept() -> None:
     stored = {"env": {"id": "x", "args": {"reward": {"kind": "own", "scale": 1.0}, "day": 2}}, "seed": [1]}
     overrides = ["env.args.reward.scale=0.5", "env.args.day=null", "env.args.names=[a,'b c']"]
-    changed, changes = with_env_args(stored, overrides)
+    changed, changes = with_env_keys(stored, overrides)
     args = {"reward": {"kind": "own", "scale": 0.5}, "day": None, "names": ["a", "b c"]}
     assert changed == {"env": {"id": "x", "args": args}, "seed": [1]}
     assert changes[0] == "env.args.reward.scale=0.5 (trained with 1.0)"
