@@ -271,7 +271,7 @@ def by_setting(
         means = {name: float(rule["mean"].mean()) for name, rule in rules.items()}
         low, high = axes.get_ylim()
         near = near_rules(means, low, high, sign)
-        axes.set_ylim(auto=None)
+        _extend_axis(axes, [value for name in near for value in rules[name]["mean"]])
         for name, rule in rules.items():
             if name in near:
                 axes.plot(
@@ -331,10 +331,17 @@ def plot_rules(
             plot_line(value, label=name, **style)
         else:
             axes.plot([], [], label=f"{name} (off scale: {_four_digits(value)})", **style)
-    if near and not upright and not axes.get_autoscaley_on():
-        shown = [rules[rule] for rule in near]
-        edge = 0.05 * (max(high, *shown) - min(low, *shown))
-        axes.set_ylim(min(low, min(shown) - edge), max(high, max(shown) + edge))
+    if not upright and not axes.get_autoscaley_on():
+        _extend_axis(axes, [rules[rule] for rule in near])
+
+
+def _extend_axis(axes: "Axes", values: Sequence[float]) -> None:
+    """Extend the vertical axis to `values`, with a margin beyond them."""
+    if not values:
+        return
+    low, high = axes.get_ylim()
+    edge = 0.05 * (max(high, *values) - min(low, *values))
+    axes.set_ylim(min(low, min(values) - edge), max(high, max(values) + edge))
 
 
 def near_rules(rules: Mapping[str, float], low: float, high: float, sign: int = 1) -> set[str]:
