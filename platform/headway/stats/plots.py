@@ -279,6 +279,7 @@ def by_setting(
                 )
             else:
                 axes.plot([], [], label=f"{name} (off scale: {_four_digits(means[name])})", **styles[name])
+        axes.xaxis.get_major_locator().set_params(integer=bool((points["setting"] % 1 == 0).all()))
         _style_axes(axes, setting if group == groups[-1] else "", label)
         axes.yaxis.set_major_formatter(_THOUSANDS)
         axes.set_title(wrapped_name(group), loc="left", fontsize="medium")

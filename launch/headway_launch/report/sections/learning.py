@@ -9,6 +9,7 @@ from headway.stats.samples import CONFIDENCE
 from headway.wording import counted
 from headway_launch.console.number_formats import formatted, with_deviation, with_interval
 from headway_launch.report.elements import Part, Picture, Section, Table
+from headway_launch.report.sections.setting import swept_settings
 from headway_launch.report.study_data import StudyData
 from headway_launch.studies.learner_pairs import p_text
 from headway_launch.studies.runs import rule_phases
@@ -86,7 +87,10 @@ def across_environments(data: StudyData) -> Section | None:
     scores = data.scores[data.scores["controller"].isin(data.trained_on_all_tasks)]
     if missing := _missing_scale(data):
         means = scores.pivot_table("final_reward", "task", "controller", sort=False)
-        body += [f"Scores cannot be aggregated: {missing}.", *_ranks(data.sign * means)]
+        body += [
+            f"Scores cannot be aggregated: {missing}.",
+            *_without_sweeps(data, _ranks(data.sign * means)),
+        ]
         return Section("across", title, body)
     signed = scores.assign(final_reward=data.sign * scores["final_reward"])
     scaled = frames.normalised_by_rules(signed, "final_reward", data.scale)
@@ -124,8 +128,16 @@ def across_environments(data: StudyData) -> Section | None:
         Picture("profiles_across", "Performance profiles over all environments.", profiles),
     ]
     means = pd.DataFrame({task: of_task["mean"] for task, of_task in by_task.items()}).T
-    body += [*_ranks(means), *_rank_tests(means)]
+    body += _without_sweeps(data, [*_ranks(means), *_rank_tests(means)])
     return Section("across", title, body)
+
+
+def _without_sweeps(data: StudyData, ranks_and_tests: list[Part]) -> list[Part]:
+    """Return ranks over tasks and their tests, or why there are none: values of a setting are no sample."""
+    if ranks_and_tests and (swept := swept_settings(data)):
+        keys = ", ".join(swept)
+        return [f"No ranks, and no tests of them: results at several values of {keys} are not independent."]
+    return ranks_and_tests
 
 
 def _ranks(scores: pd.DataFrame) -> list[Part]:

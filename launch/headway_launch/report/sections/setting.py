@@ -22,29 +22,50 @@ _ARGS = "args."
 
 
 def setting_section(data: StudyData) -> Section | None:
-    """Return the section with the results by the value of the number in `env.args` that was swept.
+    """Return the section with the results by the value of each number in `env.args` that was swept.
 
     None if none has at least `FEWEST_VALUES` values, other settings being equal, or if the last evaluations
     lack the metric.
     """
-    key, groups = _swept({task: _settings(data, task) for task in data.tasks})
-    points = _points(data, groups)
-    if points.empty:
-        return None
-    dashed = "; dashed: the rules on the same episodes" if (points["runs"] == 0).any() else ""
-    body: list[Part] = [
-        Picture(
-            "by_setting",
+    body: list[Part] = []
+    found = {key: (groups, _points(data, groups)) for key, groups in swept_settings(data).items()}
+    found = {key: (groups, points) for key, (groups, points) in found.items() if len(points)}
+    for place, (key, (groups, points)) in enumerate(found.items()):
+        suffix = f"_{place + 1}" if len(found) > 1 else ""
+        dashed = "; dashed: the rules on the same episodes" if (points["runs"] == 0).any() else ""
+        picture = plots.by_setting(points, key, data.metric_with_unit, data.styles, data.sign)
+        caption = (
             f"Mean {data.metric_label} in the last {data.mode} evaluation by {key}. Learners: with the 95% "
-            f"interval over seeds by Student's t, from {plots.FEWEST_SEEDS} seeds on{dashed}.",
-            plots.by_setting(points, key, data.metric_with_unit, data.styles, data.sign),
+            f"interval over seeds by Student's t, from {plots.FEWEST_SEEDS} seeds on{dashed}."
         )
-    ]
-    for place, (group, tasks) in enumerate(groups.items()):
-        suffix = f"_{place + 1}" if len(groups) > 1 else ""
-        of_group = points[points["group"] == group].drop(columns="group")
-        body.append(_table(data, of_group, key, group, tasks, f"by_setting{suffix}"))
-    return Section("by_setting", f"Results by {key}", body)
+        body.append(Picture(f"by_setting{suffix}", caption, picture))
+        for number, (group, tasks) in enumerate(groups.items()):
+            name = f"by_setting{suffix}{f'_{number + 1}' if len(groups) > 1 else ''}"
+            of_group = points[points["group"] == group].drop(columns="group")
+            body.append(_table(data, of_group, key, group, tasks, name))
+    return Section("by_setting", f"Results by {', '.join(found)}", body) if body else None
+
+
+def swept_settings(data: StudyData) -> dict[str, dict[str, dict[float, str]]]:
+    """Return the keys that were swept, and per group of tasks with equal other settings each value's task.
+
+    The first key is that whose groups have the most tasks, the next is that of the remaining tasks. A group
+    has at least `FEWEST_VALUES`.
+    """
+    settings = {task: _settings(data, task) for task in data.tasks}
+    found: dict[str, dict[str, dict[float, str]]] = {}
+    while True:
+        keys = dict.fromkeys(key for own in settings.values() for key in own if key.startswith(_ARGS))
+        by_key = {key: _groups(settings, key) for key in keys}
+        swept = max(by_key, key=lambda key: sum(map(len, by_key[key].values())), default="")
+        groups = by_key.get(swept)
+        if not groups:
+            return found
+        names = _names([json.loads(group) for group in groups])
+        found[f"env.{swept}"] = dict(zip(names, groups.values(), strict=True))
+        for tasks in groups.values():
+            for task in tasks.values():
+                del settings[task]
 
 
 def _settings(data: StudyData, task: str) -> dict[str, Any]:
@@ -54,20 +75,6 @@ def _settings(data: StudyData, task: str) -> dict[str, Any]:
     settings = dict(flat({name: value for name, value in env.items() if name != "training_args"}))
     wrappers = [each for each in env.get("wrappers", ()) if not wrapper_entry(each["name"]).only_rewards]
     return {**settings, "wrappers": wrappers, "file_digest": None}
-
-
-def _swept(settings: Mapping[str, Mapping[str, Any]]) -> tuple[str, dict[str, dict[float, str]]]:
-    """Return the key that was swept, and per group of tasks with equal other settings the task of each value.
-
-    It is the key whose groups have the most tasks; a group has at least `FEWEST_VALUES`. `settings`: of each
-    task. Without such a key there are no groups.
-    """
-    keys = dict.fromkeys(key for own in settings.values() for key in own if key.startswith(_ARGS))
-    by_key = {key: _groups(settings, key) for key in keys}
-    swept = max(by_key, key=lambda key: sum(map(len, by_key[key].values())), default="")
-    others = {group: json.loads(group) for group in by_key.get(swept, {})}
-    names = dict(zip(others, _names(list(others.values())), strict=True))
-    return f"env.{swept}", {names[group]: by_key[swept][group] for group in others}
 
 
 def _groups(settings: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, dict[float, str]]:
@@ -133,7 +140,7 @@ def _table(
         headings += [learner, f"{learner} minus best rule [95%]"] if rules else [learner]
     rows = []
     for value, task in tasks.items():
-        cells = [formatted(value)]
+        cells = [f"{value:g}"]
         for learner in learners:
             cells.append(formatted(means.get((learner, value))))
             if rules:

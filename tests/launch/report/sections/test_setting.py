@@ -4,9 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from sections import section_of, tables
+from sections import section_of, tables, words
 
 from headway_launch.report.elements import Picture, Section
+from headway_launch.report.sections.learning import across_environments
 from headway_launch.report.sections.setting import setting_section
 from headway_launch.report.study_data import StudyData
 
@@ -79,6 +80,27 @@ def test_wrappers_and_environments_are_settings_too(keep_run: Keep, root: Path) 
     assert [group.partition(",")[0] for group in groups] == ["tracking", "tracking", "trivial"]
     assert "frame_stack_v1" in groups[1]
     assert groups[2] == "trivial"  # only its own arguments could differ
+
+
+def test_each_swept_setting_of_several_environments_is_shown(keep_run: Keep, root: Path) -> None:
+    keep_swept(keep_run, "agents", (1, 2, 3))
+    for density in (1, 2, 3):
+        keep_run(("env=merge", "algo=ippo", "preset=none", f"env.args.density={density}"), 0, 5.0)
+    section = section_of(root, setting_section)
+    assert section.title == "Results by env.args.agents, env.args.density"
+    found = tables(section)
+    assert {name: [row[1] for row in table.rows] for name, table in found.items()} == {
+        "by_setting_1": ["4.500", "6.500", "8.500"],
+        "by_setting_2": ["6.500", "6.500", "6.500"],
+    }
+
+
+def test_values_of_a_setting_are_not_ranked_as_independent_environments(keep_run: Keep, root: Path) -> None:
+    keep_swept(keep_run, "agents", (1, 2, 3))
+    keep_swept(keep_run, "agents", (1, 2, 3), "algo=ia2c", above=1.0)
+    across = section_of(root, across_environments)
+    assert "ranks" not in tables(across)
+    assert "values of env.args.agents are not independent" in words(across)
 
 
 def test_a_distant_rule_is_listed_and_few_seeds_have_no_band(keep_run: Keep, root: Path) -> None:
