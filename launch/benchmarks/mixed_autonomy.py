@@ -29,12 +29,6 @@ PUBLISHED: Mapping[str, tuple[float | None, ...]] = {
 roads, the two signals are one controller, and its value is published under one of their names."""
 
 
-SHARES: Mapping[float, float | None] = {
-    0.05: None, 0.1: None, 0.15: None, 0.333: 2688.8, 0.5: 2806.6, 1.0: None
-}  # fmt: skip
-"""Published outflow of the learned policy at 700x700, veh/h, by share of automated vehicles."""
-
-
 def outflow(
     controller: str, demand: str, seeds: int = 3, followed: float = 1.0, **arguments: float
 ) -> tuple[float, float]:
@@ -77,30 +71,7 @@ def report() -> None:
             cells.append(f"{ours:,.0f} / {theirs:,.0f} ({100 * (ours / theirs - 1):+.1f}%)")
         print(f"| {demand} | {' | '.join(cells)} |", flush=True)
     print(f"\nThree episodes per cell; {crashes:.0f} collided vehicles in all.")
-    _report_shares()
     _report_mixtures()
-
-
-def _report_shares(demand: str = "700x700") -> None:
-    """Print how many vehicles automated ones let through that follow a rule, by their share."""
-    rules = ("virtual_signal", "gap_acceptance")
-    print(f"\n## The same crossing at {demand}: outflow, veh/h, by share of automated vehicles\n")
-    headers = [f"`{rule}`, {humans}" for humans in ("no yielding", "yielding") for rule in rules]
-    print(f"| share automated | {' | '.join(headers)} | published, learned |")
-    print(f"|---:|{'---:|' * len(headers)}---:|")
-    crashes = 0.0
-    for share, published in SHARES.items():
-        cells = []
-        for mode in (1, 31):
-            for rule in rules:
-                ours, collided = outflow(rule, demand, automated_share=share, hdv_speed_mode=mode)
-                cells.append(f"{ours:,.0f}")
-                crashes += 3 * collided
-        cells.append("" if published is None else f"{published:,.0f}")
-        print(f"| {share:.1%} | {' | '.join(cells)} |", flush=True)
-    print(f"\nThree episodes per cell; {crashes:.0f} collided vehicles in all.")
-    for rule in ("human_mode1", "human"):
-        print(f"Rule `{rule}`: {outflow(rule, demand, hdv_speed_mode=1)[0]:,.0f} veh/h.")
 
 
 def _report_mixtures(demand: str = "700x700") -> None:

@@ -134,11 +134,7 @@ def learning_curves(
         band_low, band_high = axes.get_ylim()
         _bound_bands(axes, shown[column].to_numpy())
         plot_rules(axes, rules.get(task, {}), styles=styles, sign=sign)
-        bottom, top = axes.get_ylim()
-        if band_low < bottom or band_high > top:
-            axes.set_title(
-                "some intervals continue beyond the axis", loc="right", fontsize="small", color="0.35"
-            )
+        _note_cut_bands(axes, band_low, band_high)
         for steps in (stage_ends or {}).get(task, ()):
             axes.axvline(steps, color="0.7", linewidth=0.8, zorder=0)
         _shade_rule_phases(axes, (rule_phases or {}).get(task, {}), len(by_name), sign)
@@ -263,6 +259,7 @@ def by_setting(
             band = curve[curve["runs"] >= FEWEST_SEEDS]
             ends = (band["low"].to_numpy(), band["high"].to_numpy())
             axes.fill_between(band["setting"], *ends, color=style["color"], alpha=_SHADE, linewidth=0)
+        bands = axes.get_ylim()
         _bound_bands(axes, learned["mean"].to_numpy())
         rules = {
             str(name): rule
@@ -272,6 +269,7 @@ def by_setting(
         low, high = axes.get_ylim()
         near = near_rules(means, low, high, sign)
         _extend_axis(axes, [value for name in near for value in rules[name]["mean"]])
+        _note_cut_bands(axes, *bands)
         for name, rule in rules.items():
             if name in near:
                 axes.plot(
@@ -296,6 +294,13 @@ def _bound_bands(axes: "Axes", middles: "NDArray[np.floating[Any]]") -> None:
     if low < high:
         beyond, (bottom, top) = 0.5 * (high - low), axes.get_ylim()
         axes.set_ylim(max(bottom, low - beyond), min(top, high + beyond))
+
+
+def _note_cut_bands(axes: "Axes", low: float, high: float) -> None:
+    """Note above a panel that its axis does not show all of the bands, which extend from `low` to `high`."""
+    bottom, top = axes.get_ylim()
+    if low < bottom or high > top:
+        axes.set_title("some intervals continue beyond the axis", loc="right", fontsize="small", color="0.35")
 
 
 def _point_markers(points: int) -> dict[str, Any]:
