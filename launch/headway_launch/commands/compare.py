@@ -93,7 +93,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.experiments.rules import counting, rule_episodes, rules_to_play
     from headway_launch.experiments.start_line import start_line
     from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
-    from headway_launch.runner.comparison import print_findings
+    from headway_launch.runner.comparison import print_env_changes, print_findings
     from headway_launch.runner.warm_up import compile_kernels
     from headway_launch.studies.kept_episodes import keep_episodes, require_other_episodes
 
@@ -124,6 +124,7 @@ def execute(arguments: argparse.Namespace) -> int:
         label: [stored_policy(run, found, arguments.best, subject.changed) for run in members]
         for label, members in cells.items()
     }
+    print_env_changes(subject.changes)
     root, episodes, greedy = arguments.seed, arguments.episodes, arguments.mode == "greedy"
     players = len(names) + sum(map(len, policies.values()))
     with CountedProgress("episodes played", players * episodes) as progress:

@@ -63,7 +63,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.console.progress_display import CountedProgress
     from headway_launch.experiments.rules import counting, rule_episodes, rules_to_play
     from headway_launch.runner.checkpointed_policy import policy_episodes, stored_policy
-    from headway_launch.runner.comparison import Comparison, print_findings
+    from headway_launch.runner.comparison import Comparison, print_env_changes, print_findings
     from headway_launch.runner.stored_run import StoredRun
     from headway_launch.runner.warm_up import compile_kernels
 
@@ -80,8 +80,7 @@ def execute(arguments: argparse.Namespace) -> int:
     rules = rules_to_play(found, arguments.rules)
     compile_kernels(experiment.env)
     policy = stored_policy(run, found, arguments.best, arguments.overrides)
-    if changes:
-        print_line(f"headway: evaluated on a changed environment: {'; '.join(changes)}")
+    print_env_changes(changes)
     name = experiment.algo_name
     if arguments.best:
         name = f"{name}, best policy (iteration {policy.iteration})"

@@ -172,6 +172,12 @@ def _rule(row: ComparisonRow) -> str:
     return row.controller.removeprefix(RULE)
 
 
+def print_env_changes(changes: Sequence[str]) -> None:
+    """Print what differs between the environments of training and evaluation; nothing without changes."""
+    if changes:
+        print_line(f"headway: evaluated on a changed environment: {'; '.join(changes)}")
+
+
 def print_findings(
     found: Comparison, learned: Mapping[str, Sequence[Sequence[Row]]], rules: Mapping[str, Sequence[Row]]
 ) -> None:

@@ -28,6 +28,8 @@ class ComparedLearners:
     """Per study, the runs of each learner by label; empty if only rules are compared."""
     changed: Sequence[str] = ()
     """Overrides of the studies' environment, `env.args.KEY=VALUE`."""
+    changes: Sequence[str] = ()
+    """What each of `changed` changes, in words."""
 
     @classmethod
     def of(cls, studies: Mapping[str, tuple[Path, str]], where: Sequence[str]) -> "ComparedLearners":
@@ -50,8 +52,9 @@ class ComparedLearners:
         """
         if not changed:
             return self
-        experiment, _ = next(iter(self.cells.values()))[0].with_env_args(changed)
-        return replace(self, name=" ".join((self.name, *changed)), experiment=experiment, changed=changed)
+        experiment, changes = next(iter(self.cells.values()))[0].with_env_args(changed)
+        name = " ".join((self.name, *changed))
+        return replace(self, name=name, experiment=experiment, changed=changed, changes=changes)
 
     @property
     def cells(self) -> Mapping[str, list[StoredRun]]:

@@ -169,6 +169,14 @@ def test_a_damaged_run_is_left_out_unless_it_is_named(name: str, tmp_path: Path)
     output("evaluate", whole.name, "--episodes", "1")
 
 
+def test_a_changed_environment_is_noted(tmp_path: Path) -> None:
+    keep_run_on(tmp_path / "runs", [*GAME, "algo=ippo"])
+    asked = ("compare", "kept", "--episodes", "2", "--rules", "random")
+    line = "headway: evaluated on a changed environment: env.args.steps=3 (trained with 7)\n"
+    assert line in output(*asked, "env.args.steps=3").err
+    assert "changed environment" not in output(*asked).err
+
+
 @pytest.mark.slow
 def test_learners_of_two_stores_are_compared_and_their_best_policies_kept(
     trained: Path, tmp_path: Path
