@@ -1,6 +1,7 @@
 """Comparison with the published merging study: which algorithms scale from one ramp lane to two."""
 
 import math
+from collections.abc import Mapping
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,8 @@ COLUMNS = (
     MetricColumn("interventions", "interventions", 1),
 )
 SCALING_COLUMNS = COLUMNS[:4]
+_DENSITY = 2
+"""Density of the published runs."""
 _UNPUBLISHED = PublishedResult(ranges={"reward": MISSING}, finding=MISSING)
 
 
@@ -49,8 +52,8 @@ def merge_section(data: StudyData) -> Section | None:
         return None
     body: list[Part] = [
         "The study plots curves and prints no table; the ranges below are those that its text states for "
-        "the evaluation rewards, over 10,000 episodes at density 2. Its conclusion: MAPPO scales to two ramp "
-        "lanes, MAACKTR gets worse, MADQN learns on neither.",
+        f"the evaluation rewards, over 10,000 episodes at density {_DENSITY}. Its conclusion: MAPPO scales "
+        "to two ramp lanes, MAACKTR gets worse, MADQN learns on neither.",
         _comparison(data, tasks),
     ]
     pairs = _pairs(data)
@@ -70,7 +73,7 @@ def _comparison(data: StudyData, tasks: list[str]) -> Table:
     exact: list[dict[str, Any]] = []
     rules: set[int] = set()
     for task in tasks:
-        published = published_results(str(env_of(data, task)["id"])).results
+        published = _published(data, task)
         for name, row in learner_metrics(data, task, COLUMNS).iterrows():
             reported = published.get(str(row["algorithm"]), _UNPUBLISHED).ranges["reward"]
             rows.append([task, str(name), seeds_of(row), reported, *formatted_row(row, COLUMNS)])
@@ -93,6 +96,12 @@ def _comparison(data: StudyData, tasks: list[str]) -> Table:
     )
 
 
+def _published(data: StudyData, task: str) -> Mapping[str, PublishedResult]:
+    """Return the results published for a task, by algorithm; none for another density of traffic."""
+    env = env_of(data, task)
+    return published_results(str(env["id"])).results if env["args"]["density"] == _DENSITY else {}
+
+
 def _pairs(data: StudyData) -> list[tuple[str, str]]:
     """Return pairs of tasks that differ only in the number of ramp lanes."""
     pairs = product(tasks_of(data, ONE_LANE), tasks_of(data, TWO_LANES))
@@ -102,7 +111,7 @@ def _pairs(data: StudyData) -> list[tuple[str, str]]:
 def _scaling(data: StudyData, one: str, two: str, number: str) -> list[Part]:
     """Return the table of each learner's change from one ramp lane to two."""
     both = [name for name in data.on(one) if name in data.on(two)]
-    published = published_results(TWO_LANES).results
+    published = _published(data, two)
     rows, exact = [], []
     for name in both:
         members = data.on(one)[name]

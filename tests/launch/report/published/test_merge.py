@@ -61,6 +61,19 @@ def test_change_with_a_second_lane_is_welch_s_difference(keep_run: Keep, root: P
     assert maacktr[-2:] == ["does not", "no claim (no difference shown)"]
 
 
+def test_results_published_at_density_2_are_not_shown_beside_another_density(
+    keep_run: Keep, root: Path
+) -> None:
+    for density in (1, 2):
+        for env in ("merge", "merge_two_lane"):
+            train(keep_run, env, [1.0, 2.0], "algo=madqn", f"env.args.density={density}")
+    found = tables(section(root))
+    ranges = [row[3] for row in found["merging"].rows if row[1].startswith("madqn")]
+    assert sorted(ranges) == ["-100 to 50", "-100 to 50", "\N{EN DASH}", "\N{EN DASH}"]
+    findings = [found[f"scaling_{pair}"].rows[0][-2] for pair in (1, 2)]
+    assert sorted(findings) == ["does not learn", "\N{EN DASH}"]
+
+
 def test_tasks_with_the_same_traffic_are_paired(keep_run: Keep, root: Path) -> None:
     train(keep_run, "merge", [1.0, 2.0], "env.args.supervisor=true")
     train(keep_run, "merge_two_lane", [1.0, 2.0])
