@@ -69,9 +69,9 @@ def execute(arguments: argparse.Namespace) -> int:
         print_line("`headway list KIND` lists them; `headway list KIND NAME` shows one in full")
         return 0
     if arguments.kind not in KINDS:
-        raise HeadwayError(
-            f"{arguments.kind!r} cannot be listed; {suggestion(arguments.kind, KINDS, 'headway list ')}"
-        )
+        near = nearest(arguments.kind, [*KINDS, *_WRITTEN_OUT]) or arguments.kind
+        meant = suggestion(_WRITTEN_OUT.get(near, near), KINDS, "headway list ")
+        raise HeadwayError(f"{arguments.kind!r} cannot be listed; {meant}")
     if arguments.overrides and arguments.kind != "observations":
         raise HeadwayError(
             f"headway list {arguments.kind} takes one name: leave out {' '.join(arguments.overrides)}"
@@ -309,3 +309,5 @@ KINDS: Mapping[str, tuple[str, Callable[..., None]]] = {
     "schema": ("JSON Schema of experiments' or other files, for editors", _list_schema),
 }
 """What can be listed: its description, and a function that prints the list or the item with a given name."""
+_WRITTEN_OUT = {"environments": "envs", "algorithms": "algos"}
+"""Kinds by longer names that a user may try."""
