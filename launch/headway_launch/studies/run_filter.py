@@ -100,16 +100,17 @@ class _Columns:
 
     def named(self, option: str, name: str) -> str:
         """Return a column's name in SQL. Raises HeadwayError if neither a field nor a run's parameter."""
-        known = {key for parameters in self._parameters for key in parameters} if "." in name else _FIELDS
-        if name not in known and "." not in name:
-            near = suggestion(name, known)
-            raise HeadwayError(
-                f"{option}: a run has no field {name!r}; {near}; or a parameter, such as algo.lr"
-            )
+        if name in _FIELDS:
+            return f'"{name}"'  # the records of the runs need not be read
+        known = {key for parameters in self._parameters for key in parameters}
+        if "." not in name:
+            near = f"{suggestion(name, _FIELDS)}; or a parameter, such as algo.lr"
+            if full_names := sorted(key for key in known if key.endswith(f".{name}")):
+                near = f"did you mean {' or '.join(full_names)}?"
+            raise HeadwayError(f"{option}: a run has no field {name!r}; {near}")
         if name not in known and self._rows:
             raise HeadwayError(f"{option}: no run has the parameter {name!r}; {suggestion(name, known)}")
-        if "." in name:
-            self._named[name] = None
+        self._named[name] = None
         return f'"{name}"'
 
     def text_of(self, name: str) -> str | None:

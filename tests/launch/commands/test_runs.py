@@ -138,6 +138,7 @@ def test_json_has_the_parameters(store: Path) -> None:
         (["--where", "final_reward"], "'final_reward' is not a condition; write FIELD<VALUE"),
         (["--columns", "seed,sede"], "--columns: a run has no field 'sede'; did you mean seed?"),
         (["--columns", "algo.lrr"], "--columns: no run has the parameter 'algo.lrr'; did you mean algo.lr?"),
+        (["--where", "core=gru"], "--where: a run has no field 'core'; did you mean algo.core?"),
         (["--sort", "sede"], "did you mean seed?"),
         (["--sort", "seed downwards"], "write FIELD, FIELD asc or FIELD desc"),
     ],
