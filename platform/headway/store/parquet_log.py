@@ -30,6 +30,7 @@ _REQUIRED: Mapping[Table, tuple[str, ...]] = {
 }
 """Columns of every row."""
 _SEGMENT = re.compile(r"(?P<table>[a-z]+)-(?P<iteration>\d{6,})\.parquet")
+_RESTORE = "restore it, or remove this run's folder"
 
 
 class RunLog:
@@ -137,7 +138,7 @@ def require_readable(directory: Path) -> None:
     columns that are not of numbers, and `env_steps` that do not increase.
     """
     if not _tables(directory, "curve", columns=()):
-        raise HeadwayError(f"{directory} has no curve-*.parquet: restore it, or remove this run's folder")
+        raise HeadwayError(f"{directory} has no curve-*.parquet: {_RESTORE}")
     _tables(directory, "evaluation", columns=())
 
 
@@ -162,8 +163,9 @@ def _tables(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    tables = []
-    for _, iteration, path in _segments(directory, table):
+    tables, segments = [], _segments(directory, table)
+    remedy = _remedy(table, len(segments))
+    for _, iteration, path in segments:
         if iteration <= after:
             continue
         require_regular(path)
@@ -174,19 +176,24 @@ def _tables(
         except FileNotFoundError:
             continue  # removed by a rewind since the folder was listed
         except (OSError, pa.ArrowException) as error:
-            raise HeadwayError(f"{path} cannot be read as Parquet: remove it to use the rest") from error
+            raise HeadwayError(f"{path} cannot be read as Parquet: {remedy}") from error
         for column in _REQUIRED[table]:
             if column not in segment.schema_arrow.names:
-                raise HeadwayError(f"{path} lacks column {column}: remove it to use the rest")
+                raise HeadwayError(f"{path} lacks column {column}: {remedy}")
             if pa.types.is_integer(segment.schema_arrow.field(column).type) == (column == "mode"):
-                raise HeadwayError(f"{path}, column {column} has the wrong type: remove it to use the rest")
+                raise HeadwayError(f"{path}, column {column} has the wrong type: {remedy}")
             if column in tables[-1].column_names and tables[-1].column(column).null_count:
-                raise HeadwayError(f"{path} lacks values of {column}: remove it to use the rest")
+                raise HeadwayError(f"{path} lacks values of {column}: {remedy}")
         for column in tables[-1].schema:
             if column.name != "mode" and not _is_number(column.type):
                 kind = f"of type {column.type}, not of numbers"
-                raise HeadwayError(f"{path}, column {column.name} is {kind}: remove it to use the rest")
+                raise HeadwayError(f"{path}, column {column.name} is {kind}: {remedy}")
     return tables
+
+
+def _remedy(table: Table, segments: int) -> str:
+    """Return what to do about a damaged one of a table's segments; a run without a curve cannot be used."""
+    return _RESTORE if table == "curve" and segments == 1 else "remove it to use the rest"
 
 
 def _is_number(kind: "pa.DataType") -> bool:
@@ -199,7 +206,7 @@ def _require_increasing(env_steps: Iterable[Any], directory: Path) -> None:
     if not all(earlier < later for earlier, later in pairwise(env_steps)):
         raise HeadwayError(
             f"{directory}: the env_steps of its curve do not increase from row to row: a file "
-            "curve-*.parquet is damaged; remove it to use the rest"
+            f"curve-*.parquet is damaged; {_remedy('curve', len(_segments(directory, 'curve')))}"
         )
 
 
