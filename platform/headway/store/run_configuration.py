@@ -28,8 +28,10 @@ def read_configuration(directory: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
         require_small_yaml(text)
         mapping = yaml.load(text, loader)
+    except FileNotFoundError as error:
+        raise HeadwayError(f"{path} is missing: {remedy}") from error
     except (OSError, ValueError, yaml.YAMLError) as error:
-        reason = str(error).splitlines()[0]
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise HeadwayError(f"{path} cannot be read ({reason}): {remedy}") from error
     if not isinstance(mapping, dict):
         raise HeadwayError(f"{path} holds no configuration: {remedy}")
