@@ -80,6 +80,11 @@ def choice_of_file(path: Path) -> str:
         elif isinstance(value, dict) and value.get(named_by) in known:
             content[group] = {key: inner for key, inner in value.items() if key != named_by}
             chosen = value[named_by]
+        elif isinstance(value, list):
+            several = f"`headway sweep {path} {group}={','.join(map(str, value))}`"
+            raise HeadwayError(
+                f"{path}: {group} takes one name; write {group}: NAME, and {several} trains several"
+            )
         else:
             continue
         defaults.append({f"override /{group}": chosen})

@@ -170,6 +170,12 @@ def test_a_path_that_is_not_in_the_current_folder_is_beside_the_file(
         ("[" * 5000, "bad.yaml is not valid YAML: "),
         ("env: ${nothing}", "nothing"),
         ("env: trivial\nalgo: mapo", "bad.yaml: there is no algo 'mapo'; did you mean mappo?"),
+        (
+            "env: trivial\nalgo: [mappo, ippo]",
+            "bad.yaml: algo takes one name; write algo: NAME, and `headway sweep bad.yaml algo=mappo,ippo` "
+            "trains several",
+        ),
+        ("env: [trivial, merge]", "and `headway sweep bad.yaml env=trivial,merge` trains"),
         ("env: trivial\ndefaults: {a: b}", "bad.yaml: defaults must be a list"),
         ("env: trivial\ndefaults: [override /algo: mapo]", "mapo"),
         ("env: trivial\nalgo: ippo\nsede: 3", "sede is not a key of the experiment; did you mean seed?"),
