@@ -96,13 +96,31 @@ def _composer_of(words: Sequence[str], file: Path | None = None) -> Callable[[Ma
         except UnknownKeyError as error:
             if _has_key(values, error.key) and not _has_key(given, error.key):
                 raise HeadwayError(f"preset={preset} does not fit this experiment: {error}") from error
-            group, _, key = error.key.rpartition(".")
-            # `algo.steps` may as well be meant for `rollout.steps` or an environment's.
-            if group in ("algo", "rollout") and key != "steps" and (ours := ALIASES.get(key)) in _KEYS:
-                raise UnknownKeyError(error.key, _EXPERIMENT, f"did you mean {ours}?") from error
-            raise
+            hinted = _with_hint(error, given, choices)
+            raise HeadwayError(f"{file}: {hinted}" if in_file(error.key) else str(hinted)) from error
+
+    def in_file(key: str) -> bool:
+        """Return whether the experiment's file sets a key, and no override sets it or a key above."""
+        overridden = (word.lstrip("+").partition("=")[0] for word in words)
+        return file is not None and not any(f"{key}.".startswith(f"{each}.") for each in overridden)
 
     return composed
+
+
+def _with_hint(
+    error: UnknownKeyError, mapping: Mapping[str, Any], choices: Mapping[str, str]
+) -> UnknownKeyError:
+    """Return the error with a suggestion of a key of another group, if the unknown key may stand for one."""
+    group, _, key = error.key.rpartition(".")
+    # `algo.steps` may as well be meant for `rollout.steps` or an environment's.
+    if group in ("algo", "rollout") and key != "steps" and (ours := ALIASES.get(key)) in _KEYS:
+        return UnknownKeyError(error.key, _EXPERIMENT, f"did you mean {ours}?")
+    if (group == "env" or (not group and key not in ALIASES)) and _has_key(mapping, "env.id"):
+        chosen = [f"env={mapping['env']['id']}", f"algo={choices.get('algo')}"]
+        if full_keys := _keys_ending_in(key, chosen):
+            hint = f"did you mean {' or '.join(full_keys)}?"
+            return UnknownKeyError(error.key, group or _EXPERIMENT, hint)
+    return error
 
 
 def _with_parent_named(experiment: Experiment) -> Experiment:

@@ -178,7 +178,26 @@ def test_a_path_that_is_not_in_the_current_folder_is_beside_the_file(
         ("env: [trivial, merge]", "and `headway sweep bad.yaml env=trivial,merge` trains"),
         ("env: trivial\ndefaults: {a: b}", "bad.yaml: defaults must be a list"),
         ("env: trivial\ndefaults: [override /algo: mapo]", "mapo"),
-        ("env: trivial\nalgo: ippo\nsede: 3", "sede is not a key of the experiment; did you mean seed?"),
+        (
+            "env: trivial\nalgo: ippo\nsede: 3",
+            "bad.yaml: sede is not a key of the experiment; did you mean seed?",
+        ),
+        (
+            "env: merge\nargs: {density: 2}",
+            "bad.yaml: args is not a key of the experiment; did you mean env.args?",
+        ),
+        (
+            "env: {id: merge, density: 2}",
+            "bad.yaml: env.density is not a key of env; did you mean env.args.density?",
+        ),
+        (
+            "env: merge\ndensity: 2",
+            "bad.yaml: density is not a key of the experiment; did you mean env.args.density?",
+        ),
+        (
+            "env: merge\nalgo: {name: mappo, lrr: 1}",
+            "bad.yaml: algo.lrr is not a key of mappo; did you mean algo.lr?",
+        ),
         ("env: trivial\nalgo: {name: ippo, lr: high}", "algo.lr='high' is text, where a number is expected"),
         ("env: trivial\nstudy: {_target_: os.system}", "_target_"),
         ("algo: ippo", "no experiment is named"),
@@ -193,6 +212,12 @@ def test_a_path_that_is_not_in_the_current_folder_is_beside_the_file(
 )
 def test_a_bad_file_is_one_line(text: str, line: str) -> None:
     assert line in refused("run", str(written("bad.yaml", text)))
+
+
+def test_an_unknown_key_of_the_command_line_is_not_said_to_be_the_file_s(empty_folder: Path) -> None:
+    written("mine.yaml", "env: merge\nalgo: mappo\n")
+    line = refused("run", "mine.yaml", "env.density=2")
+    assert line == "headway: env.density is not a key of env; did you mean env.args.density?\n"
 
 
 def test_no_file_and_two_experiments_are_one_line(empty_folder: Path) -> None:
