@@ -98,6 +98,13 @@ def _composer_of(words: Sequence[str], file: Path | None = None) -> Callable[[Ma
                 raise HeadwayError(f"preset={preset} does not fit this experiment: {error}") from error
             hinted = _with_hint(error, given, choices)
             raise HeadwayError(f"{file}: {hinted}" if in_file(error.key) else str(hinted)) from error
+        except HeadwayError as error:
+            env_id = str(given["env"]["id"]) if in_file("env.id") and _has_key(given, "env.id") else ""
+            missing = f"env.id={absolute_id(env_id)}: there is no such file"
+            if env_id != absolute_id(env_id) and (line := str(error)).startswith(missing):
+                line = f"{missing}, nor one beside {file}{line.removeprefix(missing)}"
+                raise HeadwayError(line) from error
+            raise
 
     def in_file(key: str) -> bool:
         """Return whether the experiment's file sets a key, and no override sets it or a key above."""

@@ -214,6 +214,17 @@ def test_a_bad_file_is_one_line(text: str, line: str) -> None:
     assert line in refused("run", str(written("bad.yaml", text)))
 
 
+@pytest.mark.parametrize("form", ["env: ./no.py", "env: {id: ./no.py}"])
+def test_an_environment_s_file_is_missing_in_the_current_folder_and_beside_the_experiment(
+    form: str, empty_folder: Path
+) -> None:
+    written("lab/mine.yaml", f"{form}\nalgo: ippo\n")
+    absent = f"headway: env.id={empty_folder}/no.py: there is no such file"
+    line = refused("run", "lab/mine.yaml")
+    assert line.startswith(f"{absent}, nor one beside lab/mine.yaml; correct the path")
+    assert refused("run", "lab/mine.yaml", "env=./no.py").startswith(f"{absent}; correct the path")
+
+
 def test_an_unknown_key_of_the_command_line_is_not_said_to_be_the_file_s(empty_folder: Path) -> None:
     written("mine.yaml", "env: merge\nalgo: mappo\n")
     line = refused("run", "mine.yaml", "env.density=2")
