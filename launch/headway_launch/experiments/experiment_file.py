@@ -1,7 +1,7 @@
 """One experiment in a YAML file at any path: `headway run FILE.yaml`."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -44,8 +44,6 @@ def choice_of_file(path: Path) -> str:
     stored configuration of a run, missing keys have the values that the run had. Relative paths that do not
     exist in the current folder are those beside the file. Raises HeadwayError for a file that cannot be used.
     """
-    from hydra.core.config_store import ConfigStore
-
     content = _content(path)
     for key in _WITH_PATHS:
         if key in content:
@@ -69,29 +67,34 @@ def choice_of_file(path: Path) -> str:
         if value is False and "off" in known:
             value = "off"  # YAML reads the bare word so
         named_by = _NAMED_BY.get(group, "")
-        if isinstance(value, str) and not (group == "env" and is_external(value)):
-            del content[group]
-            chosen = value
-            if chosen not in known:
-                raise HeadwayError(unknown_option(path, group, chosen, known))
-        elif isinstance(value, str):
-            content[group] = {named_by: value}
-            continue
-        elif isinstance(value, dict) and value.get(named_by) in known:
-            content[group] = {key: inner for key, inner in value.items() if key != named_by}
-            chosen = value[named_by]
-        elif isinstance(value, list):
+        chosen = value.get(named_by) if isinstance(value, dict) else value
+        external = group == "env" and isinstance(chosen, str) and is_external(chosen)
+        if isinstance(value, list):
             several = f"`headway sweep {path} {group}={','.join(map(str, value))}`"
             raise HeadwayError(
                 f"{path}: {group} takes one name; write {group}: NAME, and {several} trains several"
             )
+        if isinstance(value, str):
+            del content[group]
+            if not external and chosen not in known:
+                raise HeadwayError(unknown_option(path, group, value, known))
+        elif isinstance(value, dict) and (external or chosen in known):
+            content[group] = {key: inner for key, inner in value.items() if key != named_by}
         else:
             continue
+        if external:  # an option too, so that env=NAME on the command line chooses another
+            chosen = _stored("env", {"id": chosen})
         defaults.append({f"override /{group}": chosen})
-    node = {"defaults": defaults, **content}
+    return f"{_GROUP}={_stored(_GROUP, {'defaults': defaults, **content}, package='_global_')}"
+
+
+def _stored(group: str, node: Mapping[str, Any], **keywords: str) -> str:
+    """Store a configuration as an option of a group for Hydra; return the option's name."""
+    from hydra.core.config_store import ConfigStore
+
     name = f"file_{hashlib.sha256(repr(node).encode()).hexdigest()[:16]}"
-    ConfigStore.instance().store(name, node, _GROUP, package="_global_")
-    return f"{_GROUP}={name}"
+    ConfigStore.instance().store(name, node, group, **keywords)
+    return name
 
 
 def _beside(folder: Path, value: Any) -> Any:  # noqa: ANN401 - any value of a YAML file

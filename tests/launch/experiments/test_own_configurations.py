@@ -155,6 +155,17 @@ def test_a_path_that_is_not_in_the_current_folder_is_beside_the_file(
 
 
 @pytest.mark.usefixtures("empty_folder")
+@pytest.mark.parametrize("env", ["./shuttle.py", "{id: ./shuttle.py}"])
+def test_the_command_line_chooses_another_environment_than_a_file_s_own(env: str) -> None:
+    for name in ("shuttle.py", "other.py"):
+        written(name, SHUTTLE_OF_PATHS)
+    file = str(written("mine.yaml", f"env: {env}\nalgo: ippo\nenv_steps: 2048\n"))
+    assert compose([file]).config.env.id == str(Path("shuttle.py").absolute())
+    assert compose([file, "env=trivial"]).config.env.id == "trivial"
+    assert compose([file, "env=./other.py"]).config.env.id == str(Path("other.py").absolute())
+
+
+@pytest.mark.usefixtures("empty_folder")
 @pytest.mark.parametrize(
     ("text", "line"),
     [
