@@ -97,7 +97,7 @@ def _stored(group: str, node: Mapping[str, Any], **keywords: str) -> str:
     return name
 
 
-def _beside(folder: Path, value: Any) -> Any:  # noqa: ANN401 - any value of a YAML file
+def _beside(folder: Path, value: object) -> object:
     """Return a value with its relative paths that exist in `folder`, and not in the current one, absolute.
 
     A word with neither `/` nor `.` is not taken for a path, since it may be the name of packaged data, such

@@ -51,7 +51,8 @@ def test_a_seed_trained_twice_is_one_seed(tmp_path: Path, capsys: pytest.Capture
 def test_a_damaged_repeat_leaves_an_older_run_of_its_seed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of three runs of a seed the newest is damaged; of two of another, the older, which does not count."""
+    """Three runs have seed 3, of which the newest is damaged; two have seed 4, of which the older is damaged
+    and superseded anyway."""
     first, older, newest, other, last = [keep_run(tmp_path, seed, "FINISHED") for seed in (3, 3, 3, 4, 4)]
     for damaged in (newest, other):
         (tmp_path / "bus" / damaged / "config.yaml").unlink()

@@ -85,7 +85,7 @@ def test_a_broken_record_is_a_notice(tmp_path: Path) -> None:
 
 
 def test_a_run_that_was_listed_is_left_out_while_its_record_is_broken(tmp_path: Path) -> None:
-    """As in an index that is made anew."""
+    """An index that has read the run before must not return its stored row."""
     record = _run(tmp_path, 0) / "run.json"
     [row] = RunIndex(tmp_path).rows()
     text = record.read_text()
