@@ -30,7 +30,8 @@ def setting_section(data: StudyData) -> Section | None:
     body: list[Part] = []
     found = {key: (groups, _points(data, groups)) for key, groups in swept_settings(data).items()}
     found = {key: (groups, points) for key, (groups, points) in found.items() if len(points)}
-    for place, (key, (groups, points)) in enumerate(found.items()):
+    for place, (key, (all_groups, points)) in enumerate(found.items()):
+        groups = {group: all_groups[group] for group in dict.fromkeys(points["group"])}
         suffix = f"_{place + 1}" if len(found) > 1 else ""
         dashed = "; dashed: the rules on the same episodes" if (points["runs"] == 0).any() else ""
         picture = plots.by_setting(points, key, data.metric_with_unit, data.styles, data.sign)
@@ -103,13 +104,14 @@ def _names(groups: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _points(data: StudyData, groups: Mapping[str, Mapping[float, str]]) -> pd.DataFrame:
-    """Return one row per group, value and controller.
+    """Return one row per group, value and controller; none for groups whose learners all lack the metric.
 
     Columns: `group`, `controller`, `setting` (the value), `runs` (0 for a rule), `mean`, `low`, `high`, and
     for learners those of `exact_against`.
     """
-    rows: list[dict[str, Any]] = []
+    found: list[dict[str, Any]] = []
     for group, tasks in groups.items():
+        rows: list[dict[str, Any]] = []
         for value, task in tasks.items():
             place: dict[str, Any] = {"group": group, "setting": value}
             for controller in data.on(task):
@@ -124,8 +126,9 @@ def _points(data: StudyData, groups: Mapping[str, Mapping[float, str]]) -> pd.Da
             for rule in data.ranked_rules(task):
                 mean = float(data.by_episode(task, rule).mean())
                 rows.append({**place, "controller": f"rule {rule}", "runs": 0, "mean": mean})
-    learned = any(row["runs"] for row in rows)
-    return pd.DataFrame(rows if learned else []).drop(columns=["task", "env_steps"], errors="ignore")
+        if any(row["runs"] for row in rows):
+            found += rows
+    return pd.DataFrame(found).drop(columns=["task", "env_steps"], errors="ignore")
 
 
 def _table(

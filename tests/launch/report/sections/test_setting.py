@@ -129,6 +129,19 @@ def test_without_rules_there_are_no_differences(keep_run: Keep, root: Path) -> N
     assert "rule" not in table.caption
 
 
+def test_a_group_without_last_evaluations_is_left_out(keep_run: Keep, root: Path) -> None:
+    keep_swept(keep_run, "agents", (1, 2, 3), "env.args.noise=0.01")
+    for value in (1, 2, 3):
+        overrides = ("experiment=toy_tracking", f"env.args.agents={value}", "env.args.noise=0.05")
+        folder = keep_run(overrides, 0, 2.0, rules={"random": 1.0, "optimal": 3.0})
+        for log in folder.glob("evaluation-*.parquet"):
+            log.unlink()
+    section = section_of(root, setting_section)
+    [table] = tables(section).values()
+    assert [row[1] for row in table.rows] == ["4.500", "6.500", "8.500"]
+    assert len(lines_of(section)) == 1
+
+
 def test_only_numbers_of_equal_other_settings_are_a_sweep(keep_run: Keep, root: Path) -> None:
     keep_swept(keep_run, "agents", (1, 2), "env.args.noise=0.01")
     keep_swept(keep_run, "agents", (3,), "env.args.noise=0.05")
