@@ -280,7 +280,9 @@ def _module_functions(module: ModuleType) -> str:
     own = [
         name
         for name, member in vars(module).items()
-        if inspect.isfunction(member) and member.__module__ == module.__name__ and not name.startswith("_")
+        if inspect.isfunction(member)
+        and member.__module__.startswith(module.__name__)
+        and not name.startswith("_")
     ]
     return _directives(f".. autofunction:: {module.__name__}.{name}" for name in own)
 
