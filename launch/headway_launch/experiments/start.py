@@ -19,8 +19,10 @@ from headway_launch.experiments.experiment import Experiment, PreparedEnv
 from headway_launch.experiments.override_words import written
 from headway_launch.experiments.parameters import flat
 
-_MEANINGS = ("model.activation", "normalise_observations")
-"""Keys of `algo` that change what a policy computes, but not the shapes of its parameters."""
+_MEANINGS = ("model.activation", "normalise_observations", "normalise_rewards")
+"""Keys of `algo` that change the meaning of networks taken over, but not the shapes of their parameters."""
+_OF_CRITICS = ("critic", "normalise_values")
+"""Keys of `algo` that do so for critics of on-policy algorithms only."""
 
 
 def start_rule(experiment: Experiment, environment: PreparedEnv) -> Rule | None:
@@ -66,7 +68,8 @@ def parent_run(experiment: Experiment, policy: ActingPolicy) -> ParentRun | None
                 f"start.run: {folder.name} was trained with algo.{key}={there}, and this experiment has "
                 f"{here}; set algo.{key}={there}"
             )
-    same = record.algorithm == experiment.algo_name and theirs.get("critic") == own.get("critic")
+    alike = all(theirs.get(key) == own.get(key) for key in _OF_CRITICS)
+    same = record.algorithm == experiment.algo_name and alike
     return ParentRun(str(folder), plan.stack.index(record.seed), len(plan.stack), with_critic=same)
 
 

@@ -399,6 +399,22 @@ def test_runs_that_training_cannot_start_from_are_refused(words: list[str], line
         plan_jobs(compose(words))
 
 
+def test_networks_with_outputs_in_other_units_are_not_taken_over(parents: Path, tmp_path: Path) -> None:
+    """A critic of standardised returns would be read as one of returns; Q-networks likewise."""
+    of_parent = ["env=trivial", "algo=mappo", f"store.root={parents}", "start.run=-s1-"]
+    for words, taken in ([], True), (["algo.normalise_values=false"], False):
+        [job] = plan_jobs(compose([*of_parent, *words]))
+        assert job.training.parent is not None
+        assert job.training.parent.with_critic == taken
+    words = ["env=trivial", "algo=madqn", f"store.root={tmp_path}"]
+    assert run(["run", *words, "backend=serial", *SMALL]) == 0
+    plan_jobs(compose([*words, "start.run=-s0-"]))
+    with pytest.raises(
+        HeadwayError, match=r"normalise_rewards=True, .* False; set algo\.normalise_rewards=T"
+    ):
+        plan_jobs(compose([*words, "start.run=-s0-", "algo.normalise_rewards=false"]))
+
+
 def test_a_child_that_lost_its_checkpoints_starts_from_its_parent_again(parents: Path) -> None:
     """A child with a checkpoint does not need its parent, which may be deleted."""
     words = ["env=trivial", "algo=mappo", "seed=8", "start.run=-s1-", *SMALL, "study=lost", "backend=serial"]
