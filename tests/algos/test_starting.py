@@ -88,9 +88,10 @@ def test_a_critic_of_another_kind_starts_anew() -> None:
     assert len(child.start_from(parent.state_dict(), 0, 1, with_critic=True)) == 1
 
 
-def test_replay_buffers_are_filled_while_exploration_waits() -> None:
-    """Exploration falls from 1 with the share of training, not of the rule's iterations."""
-    learner = _learner("madqn", SPEC, (3,), learning_starts=10_000)
+@pytest.mark.parametrize("schedule", [{}, {"exploration_decay_steps": 500.0}])
+def test_replay_buffers_are_filled_while_exploration_waits(schedule: dict[str, float]) -> None:
+    """Exploration falls from 1 with the share of training, or its steps, not with the rule's iterations."""
+    learner = _learner("madqn", SPEC, (3,), learning_starts=10_000, **schedule)
     for iteration in (1, 2, 3):
         metrics = learner.imitate(fabricate(SPEC, 64, 4, seed=iteration), iteration, 3)
     assert metrics["memory/transitions"][0] > 300

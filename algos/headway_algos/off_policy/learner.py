@@ -119,7 +119,9 @@ class OffPolicyLearner(PolicyStack):
         self, trajectory: Trajectory, iteration: int, iterations: int
     ) -> dict[str, NDArray[np.float64]]:
         """Store the rule's transitions and learn from them, with all schedules at their start."""
-        return self.update(trajectory, iteration, 0.0)
+        metrics = self.update(trajectory, iteration, 0.0)
+        self.scheduled_steps = 0
+        return metrics
 
     def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
         """Implement `headway.contracts.StartingLearner.start_from`.
