@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from headway.contracts import Observations, StepResult, Trajectory, child_seeds, generator
+from headway.contracts import Box, Observations, StepResult, Trajectory, child_seeds, generator
 from headway.contracts.acting_policy import Parameters
 from headway.events import Row
 from headway.rollout.forks import end_if_forked
@@ -140,12 +140,17 @@ class Sampler:
         return episodes
 
     def _rule_actions(self, observed: Observations) -> NDArray[Any]:
-        """Return the rule's actions in the units of policies."""
-        rule, env = self.plan.rule, self.env
+        """Return the rule's actions in the units of policies, and within the bounds of a Box."""
+        rule, env, space = self.plan.rule, self.env, self.plan.spec.action_space
         assert rule is not None
         if isinstance(env, ScaledActions):
-            return env.in_policy_units(rule.act(env.inner, observed))
-        return rule.act(env, observed)
+            actions = env.in_policy_units(rule.act(env.inner, observed))
+        else:
+            actions = rule.act(env, observed)
+        # The environment would clip them itself, but learners learn from the actions stored.
+        if isinstance(space, Box):
+            actions = np.clip(actions, space.low, space.high).astype(np.float32)
+        return actions
 
     def _noise(self, iteration: int) -> NDArray[np.float64]:
         """Draw action noise (T, C, N, ...) from one random stream per (seed, copy, iteration).

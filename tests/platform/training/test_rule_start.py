@@ -12,7 +12,7 @@ from rehearsal import TOYS, collector_of, parameters_of, plan_of_toy
 from runs import COPIES, STEPS, Backend, Log, job_of, logs_of, trained, with_algorithm
 
 from headway.config.experiment import StartConfig
-from headway.contracts import HeadwayError, Rule, child_seeds
+from headway.contracts import BatchedEnv, HeadwayError, Observations, Rule, child_seeds
 from headway.events import EvaluationFinished
 from headway.rollout.plan import RolloutPlan
 from headway.training.loop import TrainingJob
@@ -45,6 +45,28 @@ def test_the_rule_acts_in_the_first_iterations_only(toy: str) -> None:
                 expected.append(outcome.rewards.copy())
             same = np.allclose(collector.trajectory.rewards, expected, rtol=1e-4, atol=1e-5)
             assert same == (iteration < 3)
+
+
+class _Far(OptimalTracking):
+    """A hundred times the optimal actions."""
+
+    def act(self, env: BatchedEnv, observed: Observations) -> NDArray[np.float32]:
+        return 100 * super().act(env, observed)
+
+
+def test_actions_beyond_the_bounds_are_learned_as_the_environment_clips_them() -> None:
+    """The environment's bounds are -2 and 2, those of policies -1 and 1."""
+    plan = replace(plan_of_toy("tracking"), rule=_Far(TOYS["tracking"][1]), rule_iterations=1)
+    make, config = TOYS["tracking"]
+    with collector_of(plan, "serial") as collector, closing(make(config, plan.copies)) as env:
+        collector.begin()
+        collector.collect(1, parameters_of(plan))
+        observed = env.reset(child_seeds(plan.seeds[0], "env", 0, plan.copies))
+        for actions, rewards in zip(collector.trajectory.actions, collector.trajectory.rewards, strict=True):
+            given = _Far(config).act(env, observed)
+            np.testing.assert_allclose(actions, given.clip(-2, 2) / 2, rtol=1e-5)
+            outcome, observed = env.step(given)
+            np.testing.assert_allclose(rewards, outcome.rewards, rtol=1e-4, atol=1e-5)
 
 
 def _job(folder: Path, backend: Backend = "serial", seeds: tuple[int, ...] = (5,)) -> TrainingJob:
