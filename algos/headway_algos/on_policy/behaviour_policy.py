@@ -1,7 +1,7 @@
 """The behaviour policy: action probabilities and sampled actions, for critics that need them."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,24 +19,16 @@ from headway_algos.networks.distributions import MaskedCategorical
 from headway_algos.networks.timeline import Timeline
 
 
+@dataclass(frozen=True)
 class BehaviourPolicy:
     """The policies at their current parameters; valid as behaviour policy until they are updated."""
 
-    def __init__(
-        self,
-        config: AlgoConfig,
-        actor: Actor,
-        acting: ActingPolicy,
-        layout: Layout,
-        hidden_states: HiddenStates | None = None,
-    ) -> None:
-        """`hidden_states`: those of the trajectory to evaluate, if the policies are recurrent."""
-        self.config, self.actor, self.acting, self.layout = config, actor, acting, layout
-        self.hidden_states = hidden_states
-
-    def with_hidden_states(self, hidden_states: HiddenStates | None) -> "BehaviourPolicy":
-        """Return the same policy for a trajectory with these hidden states."""
-        return BehaviourPolicy(self.config, self.actor, self.acting, self.layout, hidden_states)
+    config: AlgoConfig
+    actor: Actor
+    acting: ActingPolicy
+    layout: Layout
+    hidden_states: HiddenStates | None = None
+    """Those of the trajectory to evaluate, if the policies are recurrent."""
 
     def probabilities(self, batch: CriticBatch) -> NDArray[np.float64]:
         """Return action probabilities (M, C, N, A), exactly 0 for forbidden actions. Discrete actions only.

@@ -108,9 +108,8 @@ class OnPolicyLearner(PolicyStack):
     ) -> dict[str, NDArray[np.float64]]:
         observations = self._observations(trajectory, self.actor)
         hidden_states = self._hidden_states(trajectory, observations)
-        estimate = self.critic.estimate(
-            trajectory, self.behaviour.with_hidden_states(hidden_states), iteration
-        )
+        behaviour = replace(self.behaviour, hidden_states=hidden_states)
+        estimate = self.critic.estimate(trajectory, behaviour, iteration)
         raise_if_critic_diverged(self, estimate.advantages, f"{self.unit} {iteration}")
         rows = self._policy_batch(trajectory, observations, hidden_states)
         advantages = self.layout.rows(np.broadcast_to(estimate.advantages, trajectory.rewards.shape))
