@@ -115,7 +115,7 @@ class DeterministicPolicyGradient(Method):
         """Actors, critics, their target networks and optimisers."""
         return {
             "actor": self.network, "critic": self.critic,
-            "slow_actor": self.target_actor, "slow_critic": self.target_critic,
+            "slow_actor": self.target_actor.network, "slow_critic": self.target_critic.network,
             "actor_optimiser": self.actor_optimiser, "critic_optimiser": self.critic_optimiser,
         }  # fmt: skip
 

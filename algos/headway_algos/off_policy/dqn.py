@@ -70,4 +70,4 @@ class QLearning(Method):
     @property
     def parts(self) -> dict[str, Any]:
         """Network, target network and optimiser."""
-        return {"network": self.network, "target": self.target, "optimiser": self.optimiser}
+        return {"network": self.network, "target": self.target.network, "optimiser": self.optimiser}

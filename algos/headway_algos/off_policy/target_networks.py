@@ -1,7 +1,6 @@
 """Target networks (Mnih et al. 2015, doi 10.1038/nature14236), temporal-difference targets and losses."""
 
 from copy import deepcopy
-from typing import Any
 
 import numpy as np
 import torch
@@ -50,14 +49,6 @@ class TargetNetwork:
             for target, online in zip(self.network.parameters(), self.online.parameters(), strict=True):
                 share = torch.from_numpy(due * self.tau).to(target)
                 target.lerp_(online, share.view(-1, *[1] * (target.dim() - 1)).expand_as(target))
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the target network's tensors."""
-        return self.network.state_dict()
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the result of `state_dict`; raises RuntimeError if shapes differ."""
-        self.network.load_state_dict(state)
 
 
 def mean_over_batch(losses: Tensor, active: NDArray[np.bool_]) -> Tensor:
