@@ -213,7 +213,8 @@ class MaxPressure:
         native = _require_junctions(env)
         traffic, step_s = native.traffic, native.config.step_s
         traffic.hand_over(ALL_CHECKS)
-        since = native.steps_taken * step_s % BETWEEN_DECISIONS_S
+        # The tolerance absorbs rounding errors: 41 steps of 0.3 s are just under 12.3 s, a second decision.
+        since = (native.steps_taken * step_s + 1e-9) % BETWEEN_DECISIONS_S
         for name, signal in self._signals.items():
             yellow_s = min((length for length, state in signal.phases if "y" in state.lower()), default=0.0)
             if native.steps_taken == 0:

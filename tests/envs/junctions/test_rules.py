@@ -79,13 +79,16 @@ def test_max_pressure_gives_green_to_the_fuller_road(junctions: Open) -> None:
     assert set(chosen[1:]) == {"GrGr", "rGrG"}
 
 
-def test_max_pressure_shows_yellow_where_the_program_does(junctions: Open, grid: tuple[Path, Path]) -> None:
-    env = junctions(network=str(grid[0]), demand=str(grid[1]))
-    states = _states(env, "max_pressure", 600, "A0")
+@pytest.mark.parametrize("step_s", [0.5, 0.3])
+def test_max_pressure_shows_yellow_where_the_program_does(
+    step_s: float, junctions: Open, grid: tuple[Path, Path]
+) -> None:
+    env = junctions(network=str(grid[0]), demand=str(grid[1]), step_s=step_s)
+    states = _states(env, "max_pressure", round(300 / step_s), "A0")
     yellow_s = min(length for length, state in env.prepared.network.signals["A0"].phases if "y" in state)
     runs = "".join("y" if "y" in state else "-" for state in states).replace("-", " ").split()
     assert len(runs) > 2
-    assert {len(run) for run in runs} == {round(yellow_s / 0.5)}
+    assert {len(run) for run in runs} == {round(yellow_s / step_s)}
 
 
 @pytest.mark.parametrize(
