@@ -148,5 +148,9 @@ def _wrap(name: str, env: Any, arguments: Any) -> Any:  # noqa: ANN401 - Petting
         from headway.wrappers.copied_observations import CopiedObservations
 
         env = CopiedObservations(env)
+    if name == "frame_skip_v0":
+        from headway.wrappers.seeded_draws import SeededDraws
+
+        env = SeededDraws(env)
     given = {key: as_tuples(value) for key, value in vars(arguments).items()}
     return vars(imported_supersuit())[name](env, **given)

@@ -170,6 +170,32 @@ def test_skipping_steps_is_refused_if_agents_idle(skips: bool, monkeypatch: pyte
         wrapped.prepare(ENTRIES["bus"].config())
 
 
+@pytest.mark.parametrize("frames", [2, [1, 3]])
+def test_skipped_frames_are_steps_of_an_environment_without_draws(frames: Any) -> None:  # noqa: ANN401 - as in YAML
+    """A step is some steps with the same actions; the seed decides how many if they are drawn."""
+    entry = ENTRIES["tracking"]
+    make = entry.parallel_env
+    assert make is not None
+    plain = make(entry.config())
+    skipping, again = (
+        _through(make(entry.config()), [{"name": "frame_skip_v0", "num_frames": frames}]) for _ in range(2)
+    )
+    for env in (plain, skipping, again):
+        env.reset(seed=3)
+    actions, counts = dict.fromkeys(plain.agents, np.full(2, 0.1, np.float32)), set()
+    for _ in range(12):
+        seen, paid, *_ = skipping.step(actions)
+        assert again.step(actions)[1] == paid
+        total, count, reached = 0.0, 0, False
+        while not reached:
+            observed, rewards, *_ = plain.step(actions)
+            total, count = total + rewards["agent_0"], count + 1
+            reached = bool((observed["agent_0"] == seen["agent_0"]).all())
+        assert paid["agent_0"] == pytest.approx(total)
+        counts.add(count)
+    assert counts == ({2} if frames == 2 else {1, 2, 3})
+
+
 def test_supersuit_wrappers_that_skip_steps_are_marked() -> None:
     assert [name for name, entry in supersuit_entries().items() if entry.skips_steps] == ["frame_skip_v0"]
 
