@@ -45,9 +45,6 @@ class BlackDeath(BaseParallelWrapper):  # type: ignore[misc]  # pettingzoo's typ
 
     def _with_zeros(self, observations: Mapping[str, Any]) -> dict[str, Any]:
         return {
-            agent: observations[agent] if agent in observations else np.zeros_like(self._low(agent))
+            agent: observations.get(agent, np.zeros_like(self.observation_space(agent).low))
             for agent in self.agents
         }
-
-    def _low(self, agent: str) -> Any:  # noqa: ANN401 - the bound's own type
-        return self.observation_space(agent).low

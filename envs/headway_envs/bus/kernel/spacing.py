@@ -63,7 +63,6 @@ def _set_spacing(net: Network, world: World, c: int, n: int, line: int, now: flo
     slot = world.slots[c, n]
     on_route = slot.phase == DRIVING or slot.phase == STANDING
     ahead, behind = np.inf, np.inf
-    slot.leader = -1
     for m in range(net.line_slots[line], net.line_slots[line + 1]):
         other = world.slots[c, m]
         if m == n or other.pattern != slot.pattern:
