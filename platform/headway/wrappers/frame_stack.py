@@ -36,8 +36,9 @@ class FrameStackBatch(BatchWrapper):
     """Stacks of F frames: observations (C, N, F x D).
 
     Frames before the first one of an agent's stream are zeros (frame_stack_v1) or the first one repeated
-    (frame_stack_v2, `repeat_first`), also when a new agent takes a slot. Rows of absent agents are stacked
-    unchanged: they must be finite if those agents return.
+    (frame_stack_v2, `repeat_first`), also when a new agent takes a slot. A slot that an agent has just left
+    is stacked as zeros. Other rows of absent agents are stacked unchanged: they must be finite if those
+    agents return.
     """
 
     def __init__(self, inner: BatchedEnv, size: int, repeat_first: bool = False) -> None:
@@ -72,6 +73,8 @@ class FrameStackBatch(BatchWrapper):
             self._finals[over, :-1] = self._frames[over, 1:]
             self._finals[over, -1] = outcome.final_observations[over]
         self._push(observed, over)
+        # The row of a slot that an agent has left may still hold that agent's last observation.
+        self._frames[over & ~observed.alive & ~outcome.episode_ended[:, None]] = 0
         finals = self._finals.reshape(*over.shape, -1)
         return replace(outcome, final_observations=finals), self._stacked(observed)
 

@@ -55,6 +55,7 @@ _SUMMARIES = {
     "scale_reward_v0": "each reward multiplied by a factor, in training only (Headway's own)",
     "sticky_actions_v0": "the previous action is repeated with some probability",
 }
+_REMEMBER = ("frame_stack_v1", "frame_stack_v2", "delay_observations_v0", "max_observation_v0")
 _CHANGE_ACTIONS = ("scale_actions_v0", "pad_action_space_v0")
 Batched = tuple[type, Callable[[Any, Any], Any]]
 _BATCHED: Mapping[str, Batched] = {
@@ -153,4 +154,9 @@ def _wrap(name: str, env: Any, arguments: Any) -> Any:  # noqa: ANN401 - Petting
 
         env = SeededDraws(env)
     given = {key: as_tuples(value) for key, value in vars(arguments).items()}
-    return vars(imported_supersuit())[name](env, **given)
+    wrapped = vars(imported_supersuit())[name](env, **given)
+    if name in _REMEMBER:
+        from headway.wrappers.slot_streams import SlotStreams
+
+        wrapped = SlotStreams(wrapped)
+    return wrapped

@@ -369,6 +369,34 @@ def test_batched_forms_equal_supersuit_if_agents_die(wrappers: list[Any]) -> Non
     np.testing.assert_array_equal(twins.final_observations[over], whole.final_observations[over])
 
 
+def _two_in_turn(config: NoArguments) -> Scripted:
+    """The agent in slot b leaves at step 2; another one takes the slot at step 3."""
+
+    def take_turns(env: Scripted) -> None:
+        env.infos = {agent: {"alive": agent == "a" or env.steps != 2} for agent in env.agents}
+        if env.steps == 2:
+            env.infos["b"]["slot_ended"] = "truncated"
+
+    return Scripted(take_turns, length=6)
+
+
+@pytest.mark.parametrize("name", ["frame_stack_v1", "frame_stack_v2", "delay_observations_v0"])
+def test_an_agent_does_not_observe_what_another_saw_in_its_slot(name: str) -> None:
+    arguments = {"delay": 2} if name.startswith("delay") else {"stack_size": 3}
+    wrappers, options = [{"name": name, **arguments}], AdapterOptions(agents_come_and_go=True)
+    entry = parallel_entry("turns", "two agents", NoArguments, _two_in_turn, options)
+    wrapped = prepared("turns", entry, wrappers)
+    through = play(
+        lambda copies: ParallelEnvBatch(
+            lambda: _through(_two_in_turn(NoArguments()), wrappers), copies, "turns", options
+        )
+    )
+    for track in (play(wrapped.batch).trajectory, through.trajectory):
+        steps_seen = track.observations[3:6, 0, 1].reshape(3, -1, 3)[..., 1]
+        expected = [[0, 0, 3], [0, 3, 4], [3, 4, 5]]
+        np.testing.assert_array_equal(steps_seen, [[0], [0], [3]] if "delay" in arguments else expected)
+
+
 def _broken_duel(config: NoArguments) -> Scripted:
     """An observation has NaN at step 3."""
     duel = _duel({}, steps=6)
