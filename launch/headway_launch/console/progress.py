@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from heapq import heapreplace
 from typing import Literal
 
 from headway.events import EvaluationFinished, Event, Failed, Finished, IterationFinished, Started
@@ -169,11 +170,20 @@ def seconds_left(jobs: Sequence[JobProgress], parallel: int) -> float | None:
         if (pace := job.seconds_per_step) is not None:
             paces.setdefault(job.label, []).append(pace)
     known = [pace for of_cell in paces.values() for pace in of_cell]
-    remaining = [job for job in jobs if job.status not in OVER]
+    left = [job for job in jobs if job.status not in OVER]
+    remaining = sorted(left, key=lambda job: job.status == "waiting")  # these start as others end
     if not known or not remaining:
         return None
     lengths = []
     for job in remaining:
         of_cell = paces.get(job.label, known)
         lengths.append((job.seconds_per_step or sum(of_cell) / len(of_cell)) * job.steps_left)
-    return max(max(lengths), sum(lengths) / parallel)
+    return makespan(lengths, parallel)
+
+
+def makespan(seconds: Sequence[float], parallel: int) -> float:
+    """Return the seconds until all jobs have ended if they start in order, `parallel` at a time."""
+    free = [0.0] * max(parallel, 1)
+    for each in seconds:
+        heapreplace(free, free[0] + each)
+    return max(free)

@@ -1,7 +1,6 @@
 """A dry run: the runs of a session, and their time and energy as finished runs or a calibration predict."""
 
 from collections.abc import Mapping, Sequence
-from heapq import heapify, heapreplace
 from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
@@ -11,7 +10,7 @@ from headway.rollout.workers.usage import usable_cores
 from headway.store.run_folder import Process, RunRecord, read_summary
 from headway.wording import counted, spans
 from headway_launch.console.output import print_line
-from headway_launch.console.progress import duration
+from headway_launch.console.progress import duration, makespan
 from headway_launch.console.tables import Value, print_table, without_empty
 from headway_launch.runner.calibration import Expectation, Pace, calibrate
 from headway_launch.runner.cores import share_cores
@@ -164,15 +163,6 @@ def _of_finished_runs(cell: CellPlan) -> list[Expectation]:
         used = (None if each is None else seeds * each for each in energy)
         expected.append(Expectation(seconds * share, seeds * cpu_s, *used))
     return expected
-
-
-def makespan(seconds: Sequence[float], parallel: int) -> float:
-    """Return the seconds until all jobs have ended if they start in order, `parallel` at a time."""
-    free = [0.0] * max(parallel, 1)
-    heapify(free)
-    for each in seconds:
-        heapreplace(free, free[0] + each)
-    return max(free)
 
 
 def _iteration(cell: CellPlan) -> str:

@@ -4,7 +4,7 @@ import pytest
 from rich.console import Console
 
 from headway.events import EvaluationFinished, Finished, IterationFinished, Started, Usage
-from headway_launch.console.progress import JobProgress, overall, seconds_left
+from headway_launch.console.progress import JobProgress, makespan, overall, seconds_left
 from headway_launch.console.progress_display import CountedProgress, Progress
 
 
@@ -81,11 +81,17 @@ def test_a_resumed_job_shows_the_steps_of_its_checkpoint() -> None:
     assert resumed.cells()[2] == "5,000 steps"
 
 
+def test_jobs_start_as_places_become_free() -> None:
+    assert makespan([3.0, 1.0, 1.0, 1.0], 2) == 3.0
+    assert makespan([1.0, 1.0, 1.0, 3.0], 2) == 4.0
+    assert makespan([], 2) == 0.0
+
+
 def test_time_left_counts_waiting_jobs_at_the_pace_of_their_cell() -> None:
     slow, fast = job(0, "slow", 5, seconds_each=10.0), job(0, "fast", 5, seconds_each=1.0)
     waiting = [job(seed, "fast") for seed in (1, 2)]
     assert seconds_left([slow, fast, *waiting], parallel=2) == pytest.approx(50.0)
-    assert seconds_left([fast, *waiting], parallel=2) == pytest.approx((5 + 10 + 10) / 2)
+    assert seconds_left([*waiting, fast], parallel=2) == pytest.approx(5 + 10)  # the second follows `fast`
     assert seconds_left([job(0)], parallel=2) is None
     # Of another cell, with iterations a tenth as long and ten times as many: a step takes as long.
     short = JobProgress((1,), 100, "greedy", iteration_steps=100, label="short")

@@ -20,18 +20,11 @@ from headway_launch.runner.calibration import Pace
 from headway_launch.runner.cores import CoreShares
 from headway_launch.runner.jobs import CellPlan
 from headway_launch.runner.training_process import TrainingProcess
-from headway_launch.studies.dry_run import makespan
 
 PACE = Pace(
     0.0, start_s=3.0, evaluation_s=2.0, cpu_start_s=4.0, marks=[(0.5, 1.0)] * 7,
     kwh=1e-6, kg_co2=1e-7,
 )  # fmt: skip
-
-
-def test_jobs_start_as_places_become_free() -> None:
-    assert makespan([3.0, 1.0, 1.0, 1.0], 2) == 3.0
-    assert makespan([1.0, 1.0, 1.0, 3.0], 2) == 4.0
-    assert makespan([], 2) == 0.0
 
 
 def test_the_cost_of_a_job_is_start_iterations_and_evaluations() -> None:
