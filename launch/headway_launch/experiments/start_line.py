@@ -1,6 +1,7 @@
 """Description, for reports, of what a cell's runs started from and of their stages."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -9,10 +10,10 @@ from typing import Any
 
 from headway.config.experiment import last_iterations, steps_per_iteration
 from headway.contracts.errors import HeadwayError
-from headway.store.atomic_files import read_json
+from headway.events import Row
 from headway.store.parquet_log import read_rows
 from headway.store.run_configuration import read_configuration
-from headway.store.run_folder import RunRecord, find_run, read_summary, rules_file
+from headway.store.run_folder import RunRecord, find_run, read_rules, read_summary
 from headway.wording import counted
 from headway_launch.experiments.parameters import flat
 
@@ -77,9 +78,11 @@ def rule_start(root: Path, directories: Sequence[Path], metric: str) -> RuleStar
     ]
     column = metric.partition("/")[2]
     record = RunRecord.read(directories[0])
-    path = rules_file(root, record.study, record.cell)
-    played = read_json(path).get(rule, [])[: int(config["evaluation"]["episodes"])] if path.exists() else []
-    values = [float(episode[column]) for episode in played if column in episode]
+    played: Mapping[str, list[Row]] = {}
+    with suppress(HeadwayError):  # damaged
+        played = read_rules(root, record.study, record.cell)
+    episodes = played.get(rule, [])[: int(config["evaluation"]["episodes"])]
+    values = [float(episode[column]) for episode in episodes if column in episode]
     return RuleStart(
         rule,
         iterations * iteration_steps,

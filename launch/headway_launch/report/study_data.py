@@ -30,6 +30,7 @@ from headway_launch.studies.runs import (
     curves_of,
     included_runs,
     metric_descriptions,
+    print_rules_left_out,
     rules_beside,
 )
 
@@ -251,7 +252,7 @@ class StudyData:
     @cached_property
     def rules(self) -> pd.DataFrame:
         """One row per episode of each rule that reports the metric."""
-        played = self.runs.rules()
+        played = self.runs.rules(print_rules_left_out)
         return played.dropna(subset=[self.column]) if self.column in played else played.iloc[:0]
 
     @cached_property

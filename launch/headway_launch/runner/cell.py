@@ -11,13 +11,12 @@ from headway.config.schema import plain
 from headway.contracts.errors import HeadwayError
 from headway.events import Row
 from headway.policies.stored_spec import spec_json
-from headway.store.atomic_files import read_json
 from headway.store.checkpoint import latest_iteration
-from headway.store.run_folder import CHECKPOINTS, Status, folders_of_seed, rules_file, status_of_all
+from headway.store.run_folder import CHECKPOINTS, Status, folders_of_seed, read_rules, status_of_all
 from headway.store.session import Cell, Run, RunTakenError, SessionStore
 from headway.training.loop import TrainingJob
 from headway.wording import counted
-from headway_launch.console.output import print_line
+from headway_launch.console.output import print_line, print_notice
 from headway_launch.console.progress_display import CountedProgress
 from headway_launch.experiments.parameters import cell_parameters, full_mapping, identity
 from headway_launch.experiments.rules import rule_episodes
@@ -164,9 +163,15 @@ class SessionCell:
         return sorted(self.results.values(), key=lambda result: order.get(result.record.seed, 0))
 
     def _stored_rules(self) -> Rules | None:
-        """Return the stored results of all rules on all evaluation episodes; None if any are missing."""
-        path = rules_file(Path(self.config.store.root), self.config.study, self._cell.name)
-        kept = read_json(path) if path.exists() else {}
+        """Return the stored results of all rules on all evaluation episodes; None if any are missing or
+        damaged."""
+        try:
+            kept = read_rules(Path(self.config.store.root), self.config.study, self._cell.name)
+        except HeadwayError:
+            print_notice(
+                f"the stored episodes of the rules of {self._cell.name} are damaged: they are played again"
+            )
+            return None
         evaluation = self.config.evaluation
         seeds = [evaluation.seed] * evaluation.last_episodes
         rules: Rules = {rule: kept.get(rule, []) for rule in self.experiment.rules}

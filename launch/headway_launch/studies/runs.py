@@ -111,6 +111,11 @@ def print_left_out(folder: Path, problem: str) -> None:
     print_notice(f"run {folder.name} is left out: {problem}")
 
 
+def print_rules_left_out(problem: str) -> None:
+    """Print that rules are left out because of a damaged file."""
+    print_notice(f"rules are left out: {problem}")
+
+
 def curve_column(metric: str) -> str:
     """Return the column that `--metric` names; a name without group is of `evaluation_greedy`."""
     return metric if "/" in metric else f"evaluation_greedy/{metric}"
@@ -183,7 +188,7 @@ def rules_beside(runs: "RunSelection", metric: str) -> dict[str, dict[str, float
     Empty for training metrics, which belong to other episodes and possibly to another reward.
     """
     group, _, column = metric.rpartition("/")
-    played = runs.rules()
+    played = runs.rules(print_rules_left_out)
     if not group.startswith("evaluation_") or column not in played:
         return {}
     # Rules may also have played the additional episodes of the last evaluation; these are left out.

@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING, Any, Never
 
 from headway.config.schema import suggestion
 from headway.contracts import HeadwayError
-from headway.store.atomic_files import read_json
 from headway.store.cell_names import CellName, cell_names
 from headway.store.energy_log import read_energy
 from headway.store.index import RunIndex, RunRow
 from headway.store.parquet_log import Table, read
-from headway.store.run_folder import STATUSES, RunRecord, read_summary, rules_file
+from headway.store.run_folder import STATUSES, RunRecord, read_rules, read_summary
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -193,21 +192,27 @@ class RunSelection:
         """
         return self._read_runs(read_energy)
 
-    def rules(self) -> "pd.DataFrame":
+    def rules(self, on_damage: Callable[[str], object] | None = None) -> "pd.DataFrame":
         """Return one row per episode of a classical rule, as stored with the runs' cells.
 
         Columns: `task`, `rule`, `episode_seed` and the metrics. An episode stored by several cells of a task
-        appears once.
+        appears once. `on_damage` gets the error of each damaged file, which is then left out; None: it is
+        raised.
         """
         import pandas as pd
 
         rows: list[dict[str, Any]] = []
         stored = {(row.cell, row.study): Path(row.directory).parents[1] for row in self.rows}
         for (cell, study), root in stored.items():
-            path = rules_file(root, study, cell)
-            if path.exists():
-                for rule, episodes in read_json(path).items():
-                    rows += [{"task": self.names[cell].task, "rule": rule, **episode} for episode in episodes]
+            try:
+                played = read_rules(root, study, cell)
+            except HeadwayError as error:
+                if on_damage is None:
+                    raise
+                on_damage(str(error))
+                continue
+            for rule, episodes in played.items():
+                rows += [{"task": self.names[cell].task, "rule": rule, **episode} for episode in episodes]
         if not rows:
             return pd.DataFrame(columns=["task", "rule", "episode_seed"])
         return pd.DataFrame(rows).drop_duplicates(["task", "rule", "episode_seed"], ignore_index=True)

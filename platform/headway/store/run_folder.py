@@ -25,6 +25,7 @@ import psutil
 from headway.config.experiment import StoreConfig
 from headway.config.schema import build
 from headway.contracts import HeadwayError
+from headway.events import Row
 from headway.store.atomic_files import make_folder, read_json, write_json
 from headway.wording import environment_name
 
@@ -207,6 +208,22 @@ def folders_of_seed(root: Path, study: str, cell: str, seed: int) -> list[Path]:
 def rules_file(root: Path, study: str, cell: str) -> Path:
     """Return the path of the JSON file with the episodes of a cell's classical rules: rule name -> rows."""
     return study_folder(root, study) / f"{cell}.rules.json"
+
+
+def read_rules(root: Path, study: str, cell: str) -> dict[str, list[Row]]:
+    """Read the episodes of a cell's classical rules: rule name -> rows; empty if none are stored.
+
+    Raises HeadwayError if the file is damaged.
+    """
+    path = rules_file(root, study, cell)
+    played = read_json(path) if path.exists() else {}
+    if not all(isinstance(rows, list) and all(map(_is_episode, rows)) for rows in played.values()):
+        raise HeadwayError(f"{path} does not hold the episodes of rules: remove or repair it")
+    return played
+
+
+def _is_episode(row: object) -> bool:
+    return isinstance(row, dict) and "episode_seed" in row and isinstance(row.get("return"), int | float)
 
 
 def best_file(root: Path, study: str, cell: str) -> Path:

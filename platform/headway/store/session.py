@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 from headway.config.experiment import StoreConfig
 from headway.contracts import HeadwayError
 from headway.events import Row
-from headway.store.atomic_files import locked, make_folder, read_json, write_json, write_text
+from headway.store.atomic_files import locked, make_folder, write_json, write_text
 from headway.store.energy_log import EnergyLog
 from headway.store.fencing import close_gates, open_gate
 from headway.store.parquet_log import read_rows
@@ -24,6 +24,7 @@ from headway.store.run_folder import (
     create_run_folder,
     find_run,
     now,
+    read_rules,
     rules_file,
 )
 from headway.store.run_plan import PLAN
@@ -178,12 +179,14 @@ class Cell:
     def keep_rules(self, episodes: Mapping[str, Sequence[Row]]) -> None:
         """Store the evaluation episodes of classical rules for the cell: rule name -> one row per episode.
 
-        Rules stored by earlier sessions stay, unless `episodes` replaces them.
+        Rules stored by earlier sessions stay, unless `episodes` replaces them or their file is damaged.
         """
         if not episodes:
             return
         path = rules_file(self._store.root, self._study, self.name)
-        stored = read_json(path) if path.exists() else {}
+        stored: dict[str, Any] = {}
+        with suppress(HeadwayError):
+            stored = read_rules(self._store.root, self._study, self.name)
         write_json(path, stored | {rule: [dict(row) for row in rows] for rule, rows in episodes.items()})
 
     def finish(self, status: Status, metrics: Mapping[str, float] | None = None) -> None:

@@ -630,6 +630,16 @@ def test_different_evaluation_episodes_give_no_difference(keep_run: Keep, root: 
     assert "on common episodes of a last evaluation on tracking, so" in text_of(report)
 
 
+def test_a_damaged_file_of_rules_is_left_out(
+    keep_run: Keep, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = keep_run(TRACKING, 0, 1.0, rules=RULES)
+    [played] = folder.parent.glob("*.rules.json")
+    played.write_text(played.read_text()[:-9])
+    assert "0 classical rules" in made(root).subtitle
+    assert f"headway: rules are left out: {played} cannot be read (" in capsys.readouterr().err
+
+
 def test_a_single_episode_gives_no_difference(keep_run: Keep, root: Path) -> None:
     folder = keep_run(TRACKING, 0, 1.0, rules=RULES)
     [played] = folder.parent.glob("*.rules.json")

@@ -45,4 +45,8 @@ def test_another_evaluation_seed_plays_rules_again(tmp_path: Path, monkeypatch: 
     assert roots[1:] == [77]
     assert rules_after() == 3
     assert len(roots) == 3
+    [stored] = tmp_path.glob("kept/*.rules.json")
+    stored.write_text('{"optimal": [1')
+    assert [rules_after(), rules_after()] == [3, 3]
+    assert len(roots) == 4
     store.close()

@@ -134,6 +134,30 @@ def test_evaluations_by_mode_and_final(root: Path) -> None:
     assert len(chosen.evaluations(final=False)) == 6
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{",
+        "[]",
+        '{"hold": 1}',
+        '{"hold": [1]}',
+        '{"hold": [{"return": 1.0}]}',
+        '{"hold": [{"episode_seed": 0}]}',
+    ],
+)
+def test_a_damaged_file_of_rules_is_named_or_left_out(root: Path, text: str) -> None:
+    runs = select(root, study="bus")
+    whole, first = runs.rules(), runs.rows[0]
+    path = rules_file(root, first.study, first.cell)
+    path.write_text(text)
+    with pytest.raises(HeadwayError, match=rf"^{path} .*: remove or repair it$"):
+        runs.rules()
+    problems: list[str] = []
+    # Other cells of the task have stored the same episodes.
+    assert runs.rules(problems.append).equals(whole)
+    assert [str(path) in problem for problem in problems] == [True]
+
+
 def test_rules_shared_by_cells_appear_once(root: Path) -> None:
     found = select(root, study="bus").rules()
     assert found[["task", "rule", "episode_seed", "return"]].to_numpy().tolist() == [

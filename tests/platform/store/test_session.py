@@ -21,7 +21,7 @@ from headway.store.atomic_files import read_json
 from headway.store.checkpoint import save_checkpoint
 from headway.store.index import RunIndex
 from headway.store.parquet_log import RunLog
-from headway.store.run_folder import Process, rules_file
+from headway.store.run_folder import Process, read_rules, rules_file
 from headway.store.session import Cell, Run, SessionStore
 from headway.store.tracking.client import Tracker
 from headway.store.tracking.sync import Synced, sync
@@ -216,11 +216,14 @@ def test_rules_stored_by_earlier_sessions_stay(root: Path) -> None:
     store = SessionStore(StoreConfig(root=str(root)))
     cell = Cell(store, "study one", "bus", "mappo", {})
     cell.begin_run(0, "seed: 0\n", {}, iterations=ITERATIONS)
-    cell.keep_rules({"held": [{"return": 1.0}], "random": [{"return": 2.0}]})
+    once, again, other = ([{"episode_seed": 0, "return": value}] for value in (1.0, 2.0, 3.0))
+    cell.keep_rules({"held": once, "random": again})
     cell.keep_rules({})
-    cell.keep_rules({"random": [{"return": 3.0}]})
-    kept = read_json(rules_file(root, "study one", cell.name))
-    assert kept == {"held": [{"return": 1.0}], "random": [{"return": 3.0}]}
+    cell.keep_rules({"random": other})
+    assert read_rules(root, "study one", cell.name) == {"held": once, "random": other}
+    rules_file(root, "study one", cell.name).write_text('{"held": [')
+    cell.keep_rules({"random": other})
+    assert read_rules(root, "study one", cell.name) == {"random": other}
     store.close()
 
 
