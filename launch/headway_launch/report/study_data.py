@@ -17,6 +17,7 @@ from headway.stats import frames, plots
 from headway.stats.comparison import SEEDS_FOR_A_CLAIM, difference
 from headway.stats.pairs import PairRow
 from headway.stats.samples import Interval, MeanStd, mean_std
+from headway.store.parquet_log import read
 from headway.store.query import LABELS as RUN_LABELS
 from headway.store.query import RunSelection
 from headway.wording import counted, readable_metric
@@ -31,6 +32,7 @@ from headway_launch.studies.runs import (
     included_runs,
     metric_descriptions,
     print_rules_left_out,
+    require_results,
     rules_beside,
 )
 
@@ -78,7 +80,7 @@ class StudyData:
         included: list[RunRow] = []
         self.excluded: list[str] = []
         for store, name in ((root, study), *others):
-            rows, chosen, excluded = included_runs(store, name)
+            rows, chosen, excluded = included_runs(store, name, _require_last_evaluation)
             _require_other_cells(every, rows)
             every, included = [*every, *rows], [*included, *chosen]
             self.excluded += [f"{each} of {name}" if others else each for each in excluded]
@@ -402,6 +404,17 @@ class StudyData:
         for name in wanted:
             found[name] = pd.to_numeric(found[name]) if name in found else float("nan")
         return found
+
+
+def _require_last_evaluation(directory: Path) -> None:
+    """Raise HeadwayError if files of a finished run are damaged or lack the last evaluation."""
+    require_results(directory)
+    evaluated = read(directory, "evaluation", columns=["final"])
+    if "final" not in evaluated or not evaluated["final"].any():
+        raise HeadwayError(
+            f"{directory} has no last evaluation in evaluation-*.parquet: restore it, or remove this run's "
+            "folder"
+        )
 
 
 def _require_other_cells(runs: Sequence["RunRow"], others: Sequence["RunRow"]) -> None:

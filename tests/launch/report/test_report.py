@@ -435,18 +435,20 @@ def test_excluded_runs_are_noted_with_the_reason(keep_run: Keep, root: Path) -> 
 def test_a_damaged_run_is_excluded_and_counted(
     keep_run: Keep, root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    runs = [keep_run(TRACKING, seed, 1.0 + seed) for seed in range(4)]
+    runs = [keep_run(TRACKING, seed, 1.0 + seed) for seed in range(5)]
     (runs[1] / "config.yaml").write_text("{[")
     (runs[2] / "run.json").write_text("{[")
+    [evaluations] = runs[4].glob("evaluation-*")
+    evaluations.unlink()
     report = made(root)
-    assert "Excluded from all results on this page: 2 damaged." in text_of(report)
+    assert "Excluded from all results on this page: 3 damaged." in text_of(report)
     listed = table(report, "runs")
     assert dict(zip(listed["run_id"], listed["included"], strict=True)) == {
-        runs[0].name: True, runs[1].name: False, runs[3].name: True,
+        runs[0].name: True, runs[1].name: False, runs[3].name: True, runs[4].name: False,
     }  # fmt: skip
     assert "FINISHED, excluded" in text_of(report)
     lines = capsys.readouterr().err.splitlines()
-    assert [str(run) in " ".join(lines) for run in runs] == [False, True, True, False]
+    assert [str(run) in " ".join(lines) for run in runs] == [False, True, True, False, True]
 
 
 def test_environments_are_aggregated_if_rules_give_them_a_scale(keep_run: Keep, root: Path) -> None:
