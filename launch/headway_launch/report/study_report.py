@@ -147,16 +147,20 @@ def _against_rules(data: StudyData, task: str) -> list[str]:
         ]
     rule = data.best_rules[task]
     better, worse = (
-        ("better (below it)", "worse (above it)") if data.lower_is_better else ("above it", "below it")
+        ("better, below it", "worse, above it") if data.lower_is_better else ("above it", "below it")
     )
-    groups: dict[str, list[str]] = {better: [], worse: [], "no difference shown": []}
+    no_claims = {kind: f"no claim ({kind})" for kind in (better, worse)}
+    kinds = (better, worse, *no_claims.values(), "no difference shown")
+    groups: dict[str, list[str]] = {kind: [] for kind in kinds}
     unknown: dict[str, str] = {}
-    for controller in data.on(task):
+    for controller, members in data.on(task).items():
         against = data.against_best_rule(task, controller)
         if (found := against.interval) is None:
             unknown[controller] = against.reason
             continue
         kind = better if data.sign * found.estimate > 0 else worse
+        if len(members) < SEEDS_FOR_A_CLAIM:
+            kind = no_claims[kind]
         shown = f"`{controller}` ({with_interval(found.estimate, found.low, found.high, sign='+')})"
         groups[kind if found.excludes_zero else "no difference shown"].append(shown)
     known = [f"{kind}: {', '.join(names)}" for kind, names in groups.items() if names]

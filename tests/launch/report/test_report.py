@@ -655,8 +655,22 @@ def test_learners_whose_difference_is_unknown_are_named_beside_the_others(keep_r
         keep_run((*TRACKING, "algo=ippo"), seed, 20.0 + seed, rules=RULES)
     keep_run((*TRACKING, "algo=ia2c"), 0, 1.0, rules=RULES, last=1)
     against = made(root).summary[1]
-    assert "above it: `ippo` (+11" in against
+    assert "[95% intervals]: no claim (above it): `ippo` (+11" in against
     assert against.endswith("; unknown: `ia2c` (fewer than two common episodes).")
+
+
+def test_the_summary_claims_a_difference_from_the_best_rule_with_ten_seeds(
+    keep_run: Keep, root: Path
+) -> None:
+    for seed in range(10):
+        keep_run((*TRACKING, "algo=ippo"), seed, 20.0 + seed % 3, rules=RULES)
+        if seed < 9:
+            keep_run((*TRACKING, "algo=ia2c"), seed, 2.0, rules=RULES)
+    assert re.search(r": above it: `ippo` \([^)]+\); no claim \(below it\): `ia2c`", made(root).summary[2])
+    assert re.search(
+        r": worse, above it: `ippo` \([^)]+\); no claim \(worse, above it\): `ia2c`",
+        made(root, lower=True).summary[2],
+    )
 
 
 def test_learners_without_a_common_evaluation_step_are_named(keep_run: Keep, root: Path) -> None:
