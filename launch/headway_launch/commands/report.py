@@ -4,7 +4,12 @@ import argparse
 from pathlib import Path
 
 from headway.contracts.errors import HeadwayError
-from headway_launch.commands.arguments import add_store_argument, named_studies, typed_line
+from headway_launch.commands.arguments import (
+    add_store_argument,
+    add_where_argument,
+    named_studies,
+    typed_line,
+)
 from headway_launch.report.report_files import FORMATS, table_text, write_report
 
 EXAMPLES = """\
@@ -17,6 +22,7 @@ examples:
   headway report bus merge old/runs:crossing                  ranks and normalised scores over environments
   headway report bus --metric evaluation_sampled/return
   headway report bus --metric mean_wait_min --lower-is-better
+  headway report bus --where 'algorithm=mappo or algorithm=ippo'
 
 html: one self-contained page, report.html, and beside it tables/ (CSV with all digits), pictures/ (PNG),
 configs/ and commands.txt. markdown: the same page as report.md, for GitHub and for Sphinx with MyST; it shows
@@ -46,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="evaluation metric of final rewards; a name without group is of evaluation_greedy "
         "(default: return)",
     )
+    add_where_argument(parser)
     parser.add_argument(
         "--lower-is-better", action="store_true", help="the metric is a cost, such as a waiting time"
     )
@@ -68,7 +75,8 @@ def execute(arguments: argparse.Namespace) -> int:
     from headway_launch.report.study_data import StudyData
     from headway_launch.report.study_report import report_of
 
-    data = StudyData(root, study, arguments.metric, arguments.lower_is_better, arguments.low, others)
+    metric, lower, where = arguments.metric, arguments.lower_is_better, arguments.where
+    data = StudyData(root, study, metric, lower, arguments.low, others, where)
     report = report_of(data, typed_line(arguments))
     if arguments.table is not None:
         print(table_text(report, arguments.table, arguments.format), end="")

@@ -30,6 +30,7 @@ from headway_launch.studies.runs import (
     curve_points,
     curves_of,
     included_runs,
+    matching_runs,
     metric_descriptions,
     print_rules_left_out,
     require_results,
@@ -61,8 +62,9 @@ def mean_of_known(values: pd.Series) -> MeanStd:
 class StudyData:
     """Data of the report of a study, or of several; each part is read and computed when it is first used.
 
-    `others`: store and name of further studies. Raises HeadwayError if a study does not exist, has no
-    finished run or shares a cell with another, or if a finished run lacks the metric.
+    `others`: store and name of further studies; `where`: conditions on the runs that results include. Raises
+    HeadwayError if a study does not exist, has no finished run or shares a cell with another, if a finished
+    run lacks the metric, and if a condition is invalid or no run meets them.
     """
 
     def __init__(
@@ -73,6 +75,7 @@ class StudyData:
         lower_is_better: bool = False,
         low: float | None = None,
         others: Sequence[tuple[Path, str]] = (),
+        where: Sequence[str] = (),
     ) -> None:
         self.lower_is_better, self.low = lower_is_better, low
         self.studies = (study, *(other for _, other in others))
@@ -85,7 +88,10 @@ class StudyData:
             every, included = [*every, *rows], [*included, *chosen]
             self.excluded += [f"{each} of {name}" if others else each for each in excluded]
         self.all_runs = RunSelection(root, tuple(every))
-        self.runs = RunSelection(root, tuple(included), beside=self.all_runs.rows)
+        chosen = matching_runs(included, where)
+        if len(chosen) < len(included):
+            self.excluded.append(f"{len(included) - len(chosen)} that do not meet `--where`")
+        self.runs = RunSelection(root, tuple(chosen), beside=self.all_runs.rows)
         self.metric = curve_column(metric or f"evaluation_{common_mode(self.runs)}/return")
         group, _, self.column = self.metric.rpartition("/")
         if not group.startswith("evaluation_"):

@@ -55,9 +55,15 @@ def finished_runs(
     rows, included, excluded = included_runs(root, study, require)
     if excluded:
         print_line(f"headway: runs of {study} left out: {', '.join(excluded)}")
+    return RunSelection(root, tuple(matching_runs(included, where)), beside=tuple(rows))
+
+
+def matching_runs(included: Sequence["RunRow"], where: Sequence[str]) -> list["RunRow"]:
+    """Return the runs for which `where` holds. Raises HeadwayError if it is invalid or holds for none."""
     if chosen := filter_runs(included, where):
-        return RunSelection(root, tuple(chosen), beside=tuple(rows))
-    raise HeadwayError(f"--where: no finished run of {study} matches; see headway runs --where")
+        return chosen
+    studies = ", ".join(dict.fromkeys(row.study for row in included))
+    raise HeadwayError(f"--where: no finished run of {studies} matches; see headway runs --where")
 
 
 def included_runs(

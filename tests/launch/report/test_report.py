@@ -451,6 +451,28 @@ def test_a_damaged_run_is_excluded_and_counted(
     assert [str(run) in " ".join(lines) for run in runs] == [False, True, True, False, True]
 
 
+def test_a_report_of_the_runs_that_meet_a_condition(keep_run: Keep, root: Path, tmp_path: Path) -> None:
+    for seed in range(3):
+        keep_run((*TRACKING, "algo=ippo"), seed, 1.0)
+        keep_run((*TRACKING, "algo=ia2c"), seed, 2.0)
+    words = [
+        "report",
+        "study",
+        "--store",
+        str(root),
+        "--output",
+        str(tmp_path / "page"),
+        "--format",
+        "markdown",
+    ]
+    assert run_command([*words, "--where", "algorithm=ippo", "--where", "seed<2"]) == 0
+    page = (tmp_path / "page" / "report.md").read_text()
+    assert "tracking: 2 finished runs of 1 learner" in page
+    assert "Excluded runs: 4 that do not meet `--where`." in page
+    line = "--where: no finished run of study matches"
+    assert line in refused(*words, "--where", "algorithm=mappo")
+
+
 def test_environments_are_aggregated_if_rules_give_them_a_scale(keep_run: Keep, root: Path) -> None:
     for seed in range(2):
         keep_run((*TRACKING, "algo=ippo"), seed, 10.5, rules=RULES)
