@@ -73,12 +73,7 @@ class Experiment:
 
         Wrappers that only change rewards are left out.
         """
-        wrappers = [
-            wrapper
-            for wrapper in self.env_mapping.get("wrappers", ())
-            if not wrapper_entry(wrapper["name"]).only_rewards
-        ]
-        args = plain(self.env_config)
+        wrappers, args = wrappers_of(self.env_mapping, only_rewards=False), plain(self.env_config)
         return {**self.env_mapping, "id": self.config.env.id, "args": args, "wrappers": wrappers}
 
     @property
@@ -205,6 +200,13 @@ def _require_alike(
         f"{key} may change rewards and dynamics, not observations, actions or metrics{what}; set such "
         f"arguments in {f'env.args{room}' if whose == 'evaluation' else 'env.training_args'}"
     )
+
+
+def wrappers_of(env: Mapping[str, Any], only_rewards: bool) -> list[Mapping[str, Any]]:
+    """Return the wrappers that only change rewards and hence apply only in training, or all others."""
+    return [
+        each for each in env.get("wrappers", ()) if wrapper_entry(each["name"]).only_rewards == only_rewards
+    ]
 
 
 def data_digest(entry: EnvEntry, *configs: object) -> str | None:

@@ -21,6 +21,7 @@ from headway.store.parquet_log import read
 from headway.store.query import LABELS as RUN_LABELS
 from headway.store.query import RunSelection
 from headway.wording import counted, readable_metric
+from headway_launch.experiments.experiment import wrappers_of
 from headway_launch.experiments.parameters import flat
 from headway_launch.runner.comparison import gap_lines
 from headway_launch.studies.runs import (
@@ -191,7 +192,9 @@ class StudyData:
         """Whether training uses other rewards or dynamics than evaluation."""
         configs = [configuration(row.directory) for row in self.runs.rows]
         return any(
-            config["env"].get("training_args") or config.get("stages") or _reward_wrappers(config["env"])
+            config["env"].get("training_args")
+            or config.get("stages")
+            or wrappers_of(config["env"], only_rewards=True)
             for config in configs
         )
 
@@ -202,7 +205,9 @@ class StudyData:
             config = configuration(members[0].directory)
             env = config["env"]
             learned_from = {**dict(flat(env["args"])), **dict(flat(env.get("training_args") or {}))}
-            key = json.dumps([learned_from, config.get("stages"), _reward_wrappers(env)], sort_keys=True)
+            key = json.dumps(
+                [learned_from, config.get("stages"), wrappers_of(env, only_rewards=True)], sort_keys=True
+            )
             groups.setdefault(key, []).append(name)
         return list(groups.values())
 
@@ -438,13 +443,6 @@ def _stage_ends(config: Mapping[str, Any]) -> tuple[int, ...]:
     iteration_steps = steps_per_iteration(config)
     lengths = [stage["env_steps"] for stage in config.get("stages") or ()]
     return tuple(last * iteration_steps for last in last_iterations(lengths[:-1], iteration_steps))
-
-
-def _reward_wrappers(env: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the wrappers that change only rewards and hence apply only in training."""
-    from headway.registry import wrapper_entry
-
-    return [each for each in env.get("wrappers", ()) if wrapper_entry(each["name"]).only_rewards]
 
 
 def _episodes(numbers: set[int]) -> str:

@@ -7,9 +7,9 @@ from typing import Any
 
 import pandas as pd
 
-from headway.registry import wrapper_entry
 from headway.stats import frames, plots
 from headway_launch.console.number_formats import MISSING, formatted, with_interval
+from headway_launch.experiments.experiment import wrappers_of
 from headway_launch.experiments.parameters import flat
 from headway_launch.report.elements import Part, Picture, Section, Table
 from headway_launch.report.sections.rewards import exact_against
@@ -74,8 +74,7 @@ def _settings(data: StudyData, task: str) -> dict[str, Any]:
     members = next(iter(data.on(task).values()))
     env = configuration(members[0].directory)["env"]
     settings = dict(flat({name: value for name, value in env.items() if name != "training_args"}))
-    wrappers = [each for each in env.get("wrappers", ()) if not wrapper_entry(each["name"]).only_rewards]
-    return {**settings, "wrappers": wrappers, "file_digest": None}
+    return {**settings, "wrappers": wrappers_of(env, only_rewards=False), "file_digest": None}
 
 
 def _groups(settings: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, dict[float, str]]:
