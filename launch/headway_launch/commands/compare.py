@@ -116,8 +116,13 @@ def execute(arguments: argparse.Namespace) -> int:
     names = rules_to_play(found, arguments.rules)
     if not names:
         raise HeadwayError("--rules is empty; give at least one, such as --rules random")
-    if arguments.against is not None and arguments.against not in names:
-        names = (*rules_to_play(found, arguments.against, "--against"), *names)
+    against = arguments.against
+    if against is not None:
+        references = rules_to_play(found, against, "--against")
+        if len(references) != 1:
+            raise HeadwayError(f"--against {against!r}: give one rule, such as --against random")
+        [against] = references
+        names = tuple(dict.fromkeys((against, *names)))
     metrics = _metrics(arguments.metrics, ("length", "return", *found.spec.metrics))
     compile_kernels(experiment.env)
     policies = {
@@ -147,7 +152,7 @@ def execute(arguments: argparse.Namespace) -> int:
         rules,
         played,
         metrics,
-        arguments.against,
+        against,
     )
     pairs = pair_rows(
         metrics[0],
@@ -175,8 +180,10 @@ def _subject(arguments: argparse.Namespace) -> "ComparedLearners":
     if not studies:
         require_each_key_once(words)
         _require_for_rules(words)
-        if arguments.best:
-            raise HeadwayError("--best has no effect if rules are compared alone; omit it, or name a study")
+        for option in ("best", "where"):
+            if getattr(arguments, option):
+                line = f"--{option} has no effect if rules are compared alone; omit it, or name a study"
+                raise HeadwayError(line)
         return ComparedLearners(" ".join(words), compose(words))
     if changed and arguments.keep:
         raise HeadwayError(f"--keep stores episodes of the studies' own environment; omit {changed[0]}")
@@ -207,7 +214,7 @@ def _require_for_rules(words: Sequence[str]) -> None:
 
 
 def _metrics(names: str, known: Sequence[str]) -> tuple[str, ...]:
-    wanted = tuple(name.strip() for name in names.split(",") if name.strip())
+    wanted = tuple(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
     for name in wanted:
         if name not in known:
             raise HeadwayError(f"--metrics: unknown metric {name!r}; {suggestion(name, known)}")

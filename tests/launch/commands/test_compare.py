@@ -96,6 +96,9 @@ def test_a_table_for_a_page_has_a_row_per_controller(form: str) -> None:
         (["env=tracking", "env.args.stepz=3"], "did you mean env.args.steps?"),
         ([*GAME, "--rules", "optimum"], "did you mean optimal?"),
         ([*GAME, "--against", "ippo"], "--against: unknown rule 'ippo'"),
+        ([*GAME, "--against", "random,optimal"], "--against 'random,optimal': give one rule"),
+        ([*GAME, "--against", ""], "--against '': give one rule"),
+        ([*GAME, "--where", "seed<3"], "--where has no effect if rules are compared alone"),
         ([*GAME, "--rules", "lookahead"], "--rules: rule lookahead needs an environment that can be"),
         ([*GAME, "--metrics", "distanse"], "unknown metric 'distanse'; did you mean distance?"),
         ([*GAME, "--episodes", "1"], "--episodes 1: must be at least 2, because an interval needs two"),
@@ -110,9 +113,20 @@ def test_what_cannot_be_compared_is_one_line(words: list[str], line: str) -> Non
     assert line in refused("compare", *words)
 
 
-def test_the_reference_is_played_too_and_no_rule_twice() -> None:
-    words = ["--episodes", "2", "--rules", "random,random", "--against", "optimal"]
-    assert [row[0] for row in rows_of("compare", *GAME, *words)[1:]] == ["rule optimal", "rule random"]
+def test_the_reference_is_played_too_and_nothing_twice() -> None:
+    words = [
+        "--episodes",
+        "2",
+        "--rules",
+        "random,random",
+        "--against",
+        " optimal",
+        "--metrics",
+        "return,return",
+    ]
+    heading, *rows = rows_of("compare", *GAME, *words)
+    assert heading[2:] == ["return", "return minus optimal [95%]"]
+    assert [row[0] for row in rows] == ["rule optimal", "rule random"]
 
 
 @pytest.mark.parametrize(
