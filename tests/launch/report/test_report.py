@@ -190,6 +190,12 @@ def test_captions_name_a_cell_that_diverged(
     assert pictures["reward_against_cost"].get_ylim()[0] > -30
 
 
+@pytest.mark.parametrize("low", ["nan", "-inf", "99"])
+def test_an_axis_that_cannot_begin_there_is_one_line(low: str, two: Two) -> None:
+    line = f"the axis cannot begin at {low}: give a number below "
+    assert line in refused("report", "study", "--store", str(two.root), f"--low={low}")
+
+
 @pytest.mark.parametrize("diverged", [False, True])
 def test_if_lower_is_better_a_far_lower_cell_is_drawn(
     diverged: bool, two: Two, keep_run: Keep, root: Path, monkeypatch: pytest.MonkeyPatch

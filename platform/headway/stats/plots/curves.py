@@ -83,8 +83,9 @@ def learning_curves(
                 _plot_curve(axes, name, by_name[name], column, styles[name], shaded, remark)
             axes.set_ylim(window)
         if low is not None:
-            if low >= (top := axes.get_ylim()[1]):
-                raise HeadwayError(f"the axis cannot begin at {low:g}: all values lie below {top:.4g}")
+            top = axes.get_ylim()[1]
+            if not -np.inf < low < top:
+                raise HeadwayError(f"the axis cannot begin at {low:g}: give a number below {top:.4g}")
             axes.set_ylim(bottom=low)
         style_axes(axes, "environment steps", label)
         format_steps(axes)
