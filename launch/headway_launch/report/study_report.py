@@ -141,9 +141,9 @@ def _learner_pairs(data: StudyData, task: str) -> list[str]:
 def _against_rules(data: StudyData, task: str) -> list[str]:
     if task not in data.best_rules:
         return [
-            f"No rule was run on {task}, so it is unknown whether learning beats a simple rule. A sweep "
-            "evaluates the rules once all of its runs have ended; `headway compare` evaluates them at any "
-            "time, but stores nothing."
+            f"The store has no episodes of rules on {task}, so it is unknown whether learning beats a simple "
+            "rule. A sweep evaluates the rules once all of its runs have ended; `headway compare` evaluates "
+            "them at any time, but stores nothing."
         ]
     rule = data.best_rules[task]
     better, worse = (

@@ -369,7 +369,7 @@ def test_a_single_seed_and_missing_rules_are_noted(keep_run: Keep, root: Path) -
     keep_run(TRACKING, 0, 1.0)
     report = made(root)
     assert "Only one seed of ippo was trained: the variation" in text_of(report)
-    assert "No classical rule was run" in text_of(report)
+    assert "The store has no episodes of classical rules" in text_of(report)
     assert "The study has only one learner" in text_of(report)
     assert "There is no performance profile: it needs at least 5 seeds per controller." in text_of(report)
     assert not {"intervals", "profiles"} & set(axes_of(report))
@@ -419,7 +419,7 @@ def test_a_learner_without_common_episodes_has_no_share(keep_run: Keep, root: Pa
 
 def test_lookahead_alone_is_no_rule_to_compare_with(keep_run: Keep, root: Path) -> None:
     keep_run(TRACKING, 0, 12.0, rules={"lookahead": 20.0})
-    assert "No classical rule was run" in text_of(made(root))
+    assert "The store has no episodes of classical rules" in text_of(made(root))
 
 
 def test_excluded_runs_are_noted_with_the_reason(keep_run: Keep, root: Path) -> None:
@@ -666,7 +666,9 @@ def test_a_damaged_file_of_rules_is_left_out(
     folder = keep_run(TRACKING, 0, 1.0, rules=RULES)
     [played] = folder.parent.glob("*.rules.json")
     played.write_text(played.read_text()[:-9])
-    assert "0 classical rules" in made(root).subtitle
+    report = made(root)
+    assert "0 classical rules" in report.subtitle
+    assert "The store has no episodes of rules on tracking, so it is unknown" in text_of(report)
     assert f"headway: rules are left out: {played} cannot be read (" in capsys.readouterr().err
 
 

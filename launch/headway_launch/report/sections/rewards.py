@@ -148,7 +148,7 @@ def interquartile_section(data: StudyData) -> Section:
     reasons = dict.fromkeys(f"{task}: {found.reason}" for (task, _), found in against.items() if found.reason)
     if not data.best_rules:
         body.append(
-            "No classical rule was run on these episodes (`evaluation.rules`), so the learners cannot be "
+            "The store has no episodes of classical rules (`evaluation.rules`), so the learners cannot be "
             "compared with a simple rule."
         )
     elif reasons:
