@@ -63,8 +63,7 @@ def begin_day(net: Network, k: Record, world: World, c: int, seed: np.uint64, ep
     world.calls[c] = np.zeros(1, world.calls.dtype)[0]
     draw_congestion(k, world, c)
     for p in range(net.pattern_calls.shape[0] - 1):
-        world.patterns[c, p].last_finish = -1.0
-        world.patterns[c, p].next_trip = net.pattern_trips[p]
+        world.last_finish[c, p] = -1.0
         for call in range(net.pattern_calls[p], net.pattern_calls[p + 1]):
             world.queues[c, call].next_arrival = k.start_s
             world.queues[c, call].hour = -1

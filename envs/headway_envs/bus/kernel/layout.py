@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Record = Any
-"""One element of an array of SETTINGS, SLOT, QUEUE, CALL, PATTERN, LINE or DAY. Compiled code reads fields as
+"""One element of an array of SETTINGS, SLOT, QUEUE, CALL, LINE or DAY. Compiled code reads fields as
 attributes."""
 
 FIRST_KNOT_HOUR = 3
@@ -239,9 +239,6 @@ CALL = np.dtype(
 """Totals of the day at one call, and whether it was skipped last. Not in QUEUE, which every control interval
 scans."""
 
-PATTERN = np.dtype([("last_finish", np.float64), ("next_trip", np.int64)], align=True)
-"""State of one pattern: time of the last arrival at its end, and its first trip that has not left."""
-
 LINE = np.dtype(
     [
         (name, np.float64)
@@ -330,8 +327,8 @@ class World(NamedTuple):
     leaves_at: NDArray[np.float64]
     """(C, storage) time at which each waiting passenger takes the competing service; infinite for captive
     passengers"""
-    patterns: NDArray[Any]
-    """(C, P) PATTERN records"""
+    last_finish: NDArray[np.float64]
+    """(C, P) time of the last arrival at the end of each pattern, s; -1 before the first"""
     lines: NDArray[Any]
     """(C, L) LINE records"""
     departed: NDArray[np.bool_]

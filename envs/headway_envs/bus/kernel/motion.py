@@ -166,10 +166,6 @@ def depart(net: Network, k: Record, world: World, c: int, n: int, time: float) -
     if slot.phase == DISPATCHED:
         slot.trip_left = time
         world.departed[c, slot.trip] = True
-        pattern, last = world.patterns[c, slot.pattern], net.pattern_trips[slot.pattern + 1]
-        # Trips may leave out of order: skip those that have left.
-        while pattern.next_trip < last and world.departed[c, pattern.next_trip]:
-            pattern.next_trip += 1
     following = world.calls[c, slot.call + 1]
     # From a terminal, another bus may have left since the decision, and skip the same stop.
     if slot.next_order == SKIP_NEXT and following.skipped:
@@ -203,7 +199,7 @@ def arrive(net: Network, k: Record, world: World, c: int, n: int, time: float) -
         change_load(day, slot, -alighting, time)
     if slot.call == net.pattern_calls[slot.pattern + 1] - 1:
         world.trip_time[c, slot.trip] = time - slot.trip_left
-        world.patterns[c, slot.pattern].last_finish = time
+        world.last_finish[c, slot.pattern] = time
         slot.block += 1
         schedule_next_trip(net, k, world, c, n, time, True)
     elif planned or slot.fuel <= 0.0 or slot.hazard >= slot.hazard_limit:

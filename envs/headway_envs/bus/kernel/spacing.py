@@ -43,22 +43,60 @@ def _set_place(net: Network, k: Record, world: World, c: int, n: int, now: float
 
 
 @compiled
-def _next_departure(net: Network, world: World, c: int, pattern: int, own_trip: int) -> float:
-    """Return the scheduled departure of the pattern's first trip that has not left, other than the slot's own
-    trip; infinite if there is none."""
-    trip = world.patterns[c, pattern].next_trip
-    last = net.pattern_trips[pattern + 1]
-    while trip < last and (world.departed[c, trip] or trip == own_trip):
-        trip += 1
-    return net.trip_departure[trip] if trip < last else np.inf
+def _ready_after_trip(net: Network, k: Record, world: World, c: int, n: int, now: float) -> float:
+    """Return when a bus that has left on a trip is expected to be ready for its next one, s."""
+    slot = world.slots[c, n]
+    end = interpolate(net.nominal, net.pattern_calls[slot.pattern + 1] - 1, now)
+    ready: float = now + max(end - slot.place, 0.0) + k.minimum_layover_s
+    ready += net.trip_deadhead[net.slot_trips[slot.block + 1]]
+    if slot.phase == AWAY or slot.phase == BROKEN:
+        ready += world.event_time[c, n] - now
+    if slot.phase == BROKEN:
+        ready += k.service_s + 2.0 * net.detour[slot.call]
+    return ready
 
 
 @compiled
-def _set_spacing(net: Network, world: World, c: int, n: int, line: int, now: float) -> None:
+def _next_departure(
+    net: Network, k: Record, world: World, c: int, line: int, pattern: int, own_trip: int, now: float
+) -> float:
+    """Return when the next bus is expected to leave on a trip of the pattern other than `own_trip`, s;
+    infinite if there is none.
+
+    A bus leaves on schedule or, if that is later, once it is ready after the trips before.
+    """
+    soonest = np.inf
+    for n in range(net.line_slots[line], net.line_slots[line + 1]):
+        block, last = world.slots[c, n].block, net.slot_first[n + 1]
+        if block == last:
+            continue
+        ready = max(world.event_time[c, n], now)
+        if world.departed[c, net.slot_trips[block]]:
+            block += 1
+            if block == last:
+                continue
+            ready = _ready_after_trip(net, k, world, c, n, now)
+        while ready < soonest:
+            trip = net.slot_trips[block]
+            leaves = max(net.trip_departure[trip], ready)
+            if net.trip_pattern[trip] == pattern and trip != own_trip:
+                soonest = min(soonest, leaves)
+                break
+            block += 1
+            if block == last:
+                break
+            end = net.pattern_calls[net.trip_pattern[trip] + 1] - 1
+            ready = leaves + interpolate(net.nominal, end, leaves)
+            ready += k.minimum_layover_s + net.trip_deadhead[net.slot_trips[block]]
+    return soonest
+
+
+@compiled
+def _set_spacing(net: Network, k: Record, world: World, c: int, n: int, line: int, now: float) -> None:
     """Set the slot's time spacings to the bus ahead and to the bus behind, over the target headway.
 
     For the pattern's first bus, the bus ahead is the one that finished last, as if it had driven on; for the
-    last bus, the bus behind is the next scheduled departure.
+    last bus, the bus behind is the next that is expected to leave on the pattern.
     """
     slot = world.slots[c, n]
     on_route = slot.phase == DRIVING or slot.phase == STANDING
@@ -76,13 +114,13 @@ def _set_spacing(net: Network, world: World, c: int, n: int, line: int, now: flo
                 ahead, slot.leader = gap, m
         else:
             behind = min(behind, -gap)
-    finish = world.patterns[c, slot.pattern].last_finish
+    finish = world.last_finish[c, slot.pattern]
     if ahead == np.inf and finish >= 0.0:
         end = interpolate(net.nominal, net.pattern_calls[slot.pattern + 1] - 1, now)
         ahead = end - slot.place + now - finish
     if behind == np.inf:
-        following = _next_departure(net, world, c, slot.pattern, slot.trip)
-        behind = slot.place + max(following - now, 0.0)
+        following = _next_departure(net, k, world, c, line, slot.pattern, slot.trip, now)
+        behind = slot.place + following - now
     # The target at the time when a bus at this position left the first call.
     target = interpolate(net.target, slot.pattern, now - slot.place)
     slot.ahead = ahead / target if ahead < np.inf else np.nan
@@ -104,7 +142,7 @@ def update_line_spacings(net: Network, k: Record, world: World, c: int, line: in
         slot.behind = np.nan
         if slot.phase == DEPOT:
             continue
-        _set_spacing(net, world, c, n, line, now)
+        _set_spacing(net, k, world, c, n, line, now)
         if slot.counted == MISSING_FROM_LINE:
             slot.regularity = -1.0
         elif slot.counted == COUNTED:
