@@ -23,9 +23,9 @@ _LAWS = {
     ),
 }
 TUNED = {
-    "forward_headway": {"gain": 0.2, "slack": 10.0},
+    "forward_headway": {"gain": 0.1, "slack": 10.0},
     "two_way_headway": {"gain": 0.4, "slack": 30.0},
-    "simple_control": {"kept": 0.5, "slack": 180.0},
+    "simple_control": {"kept": 0.5, "slack": 150.0},
     "self_coordinating": {"gain": 0.02},
 }
 """Parameters of the literature's rules, chosen by `tests.trials.bus_rule_parameters`."""
