@@ -22,7 +22,6 @@ def tiny_network() -> Network:
         line_slots=_integers(0, 1),
         line_patterns=_integers(0, 1),
         pattern_calls=_integers(0, 2),
-        pattern_trips=_integers(0, 1),
         trip_pattern=_integers(0),
         trip_departure=np.array([18600.0]),
         trip_deadhead=np.zeros(1),

@@ -55,7 +55,7 @@ def test_a_timetable_is_even_and_its_blocks_can_be_driven() -> None:
     prepared = prepare(BusConfig())
     net = prepared.network
     for p in range(len(net.pattern_calls) - 1):
-        departures = net.trip_departure[net.pattern_trips[p] : net.pattern_trips[p + 1]]
+        departures = net.trip_departure[net.trip_pattern == p]
         gaps = np.diff(departures)
         assert gaps.min() > 0
         assert np.abs(np.diff(gaps)).max() < 0.35 * gaps.max()

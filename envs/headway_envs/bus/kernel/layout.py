@@ -52,10 +52,8 @@ class Network(NamedTuple):
     """(L + 1,) first pattern of each line"""
     pattern_calls: NDArray[np.int64]
     """(P + 1,) first call of each pattern"""
-    pattern_trips: NDArray[np.int64]
-    """(P + 1,) first trip of each pattern; trips are sorted by pattern, then by departure"""
     trip_pattern: NDArray[np.int64]
-    """(J,) pattern of each trip"""
+    """(J,) pattern of each trip; trips are sorted by pattern, then by departure"""
     trip_departure: NDArray[np.float64]
     """(J,) scheduled departure, s"""
     trip_deadhead: NDArray[np.float64]

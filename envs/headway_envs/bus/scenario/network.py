@@ -74,7 +74,6 @@ def build_from_arrays(
         line_slots=timetable["line_slots"].astype(np.int64),
         line_patterns=line_patterns,
         pattern_calls=pattern_calls,
-        pattern_trips=timetable["pattern_trips"].astype(np.int64),
         trip_pattern=timetable["trip_pattern"].astype(np.int64),
         trip_departure=timetable["trip_departure"].astype(np.float64),
         trip_deadhead=timetable["trip_deadhead"].astype(np.float64),
@@ -357,7 +356,6 @@ def _timetable(
             slot_line.append(line)
     return {
         "line_slots": _offsets(np.bincount(slot_line, minlength=len(deadhead))),
-        "pattern_trips": _offsets(np.array([len(d.times) for d in departures])),
         "trip_pattern": np.array([trip.pattern for trip in trips]),
         "trip_departure": np.array([trip.departure for trip in trips]),
         "trip_deadhead": before,
