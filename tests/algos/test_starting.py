@@ -11,6 +11,7 @@ from made_trajectories import fabricate
 
 from headway.contracts import Box, Discrete, EnvSpec, HeadwayError
 from headway_algos.config import ModelConfig
+from headway_algos.replay_config import MADQNConfig
 
 SPEC = EnvSpec("made", ("a", "b"), 3, Discrete(3), state_size=2)
 BOX = replace(SPEC, action_space=Box((-1.0,), (1.0,)))
@@ -88,13 +89,16 @@ def test_a_critic_of_another_kind_starts_anew() -> None:
     assert len(child.start_from(parent.state_dict(), 0, 1, with_critic=True)) == 1
 
 
-@pytest.mark.parametrize("schedule", [{}, {"exploration_decay_steps": 500.0}])
-def test_replay_buffers_are_filled_while_exploration_waits(schedule: dict[str, float]) -> None:
+@pytest.mark.parametrize("decay_steps", [None, 500.0])
+def test_replay_buffers_are_filled_while_exploration_waits(decay_steps: float | None) -> None:
     """Exploration falls from 1 with the share of training, or its steps, not with the rule's iterations."""
-    learner = _learner("madqn", SPEC, (3,), learning_starts=10_000, **schedule)
+    learner = _learner("madqn", SPEC, (3,), learning_starts=10_000, exploration_decay_steps=decay_steps)
     for iteration in (1, 2, 3):
         metrics = learner.imitate(fabricate(SPEC, 64, 4, seed=iteration), iteration, 3)
     assert metrics["memory/transitions"][0] > 300
     assert learner.acting_parameters()["exploration"].item() == 1.0
-    learner.update(fabricate(SPEC, 64, 4, seed=9), 4, 0.3)
-    assert 0 < learner.acting_parameters()["exploration"].item() < 1.0
+    for iteration, progress in ((4, 0.3), (5, 0.4)):
+        learner.update(fabricate(SPEC, 64, 4, seed=iteration), iteration, progress)
+    # Of the steps of learning, the schedule has seen those of the first iteration.
+    expected = MADQNConfig(exploration_decay_steps=decay_steps).exploration(0.4, 64 * 4)
+    assert learner.acting_parameters()["exploration"].item() == pytest.approx(expected)

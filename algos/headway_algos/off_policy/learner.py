@@ -76,7 +76,7 @@ class OffPolicyLearner(PolicyStack):
         self.transition_builder = TransitionBuilder(spec, config.gamma, config.n_step)
         self.replay = ReplayBuffer(spec, policies, config.capacity, self.device)
         self.env_steps = 0
-        """Environment steps per seed so far."""
+        """Environment steps per seed so far, those of a rule left out."""
         self.progress, self.scheduled_steps = 0.0, 0
         """Share of training, and environment steps, done before the last update: inputs of the schedules."""
 
@@ -120,7 +120,7 @@ class OffPolicyLearner(PolicyStack):
     ) -> dict[str, NDArray[np.float64]]:
         """Store the rule's transitions and learn from them, with all schedules at their start."""
         metrics = self.update(trajectory, iteration, 0.0)
-        self.scheduled_steps = 0
+        self.env_steps = self.scheduled_steps = 0
         return metrics
 
     def start_from(self, state: dict[str, Any], replica: int, replicas: int, with_critic: bool) -> list[str]:
