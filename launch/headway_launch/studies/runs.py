@@ -194,8 +194,10 @@ def rules_beside(runs: "RunSelection", metric: str) -> dict[str, dict[str, float
     Empty for training metrics, which belong to other episodes and possibly to another reward.
     """
     group, _, column = metric.rpartition("/")
+    if not group.startswith("evaluation_"):
+        return {}
     played = runs.rules(print_rules_left_out)
-    if not group.startswith("evaluation_") or column not in played:
+    if column not in played:
         return {}
     # Rules may also have played the additional episodes of the last evaluation; these are left out.
     episodes = {

@@ -36,9 +36,9 @@ class FrameStackBatch(BatchWrapper):
     """Stacks of F frames: observations (C, N, F x D).
 
     Frames before the first one of an agent's stream are zeros (frame_stack_v1) or the first one repeated
-    (frame_stack_v2, `repeat_first`), also when a new agent takes a slot. A slot that an agent has just left
-    is stacked as zeros. Other rows of absent agents are stacked unchanged: they must be finite if those
-    agents return.
+    (frame_stack_v2, `repeat_first`), also when a new agent takes a slot in the step in which another leaves
+    it. A slot that an agent has just left is stacked as zeros. Other rows of absent agents are stacked
+    unchanged: they must be finite if those agents return.
     """
 
     def __init__(self, inner: BatchedEnv, size: int, repeat_first: bool = False) -> None:

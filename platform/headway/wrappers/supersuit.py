@@ -56,6 +56,7 @@ _SUMMARIES = {
     "sticky_actions_v0": "the previous action is repeated with some probability",
 }
 _REMEMBER = ("frame_stack_v1", "frame_stack_v2", "delay_observations_v0", "max_observation_v0")
+"""Wrappers that remember observations."""
 _CHANGE_ACTIONS = ("scale_actions_v0", "pad_action_space_v0")
 Batched = tuple[type, Callable[[Any, Any], Any]]
 _BATCHED: Mapping[str, Batched] = {
