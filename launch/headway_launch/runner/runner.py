@@ -276,7 +276,8 @@ class Runner:
                 if len(unfinished) <= _MAX_LISTED_RUNS and not self._plan_kept
                 else f"--study {study}"
             )
-            waiting = f"{counted(not_started, 'run')} not started; " if not_started else ""
+            started = f"{counted(len(unfinished), 'run')} unfinished, " if unfinished else ""
+            waiting = f"{started}{counted(not_started, 'run')} not started; " if not_started else ""
             failed = [
                 cell.experiment.config.env.id
                 for cell in self._cells

@@ -31,7 +31,7 @@ from headway.contracts.environment import (
     Observations,
     StepResult,
 )
-from headway.contracts.errors import HeadwayError
+from headway.contracts.errors import EnvironmentRaisedError, HeadwayError
 from headway.contracts.lazy import Lazy
 from headway.contracts.learner import (
     AnchoredLearner,
@@ -70,6 +70,7 @@ __all__ = [
     "Discrete",
     "EnvEntry",
     "EnvSpec",
+    "EnvironmentRaisedError",
     "HeadwayError",
     "Lazy",
     "Learner",
