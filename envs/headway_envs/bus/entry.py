@@ -23,12 +23,13 @@ _LAWS = {
     ),
 }
 TUNED = {
-    "forward_headway": {"gain": 0.1, "slack": 10.0},
+    "forward_headway": {"gain": 0.2, "slack": 10.0},
     "two_way_headway": {"gain": 0.4, "slack": 30.0},
-    "simple_control": {"kept": 0.5, "slack": 150.0},
+    "simple_control": {"kept": 0.5, "slack": 180.0},
     "self_coordinating": {"gain": 0.02},
 }
-"""Parameters of the literature's rules, chosen by `tests.trials.bus_rule_parameters`."""
+"""Parameters of the literature's rules, chosen by `tests.trials.bus_rule_parameters`, when breakdowns were half
+as frequent. It now prefers a gain of 0.1 and a slack of 150 s for two of them, by 1% of their rewards."""
 
 ENTRY = EnvEntry(
     summary="Buses that hold, move and go to service on lines with stochastic demand and travel times",
