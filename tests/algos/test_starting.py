@@ -99,6 +99,6 @@ def test_replay_buffers_are_filled_while_exploration_waits(decay_steps: float | 
     assert learner.acting_parameters()["exploration"].item() == 1.0
     for iteration, progress in ((4, 0.3), (5, 0.4)):
         learner.update(fabricate(SPEC, 64, 4, seed=iteration), iteration, progress)
-    # Of the steps of learning, the schedule has seen those of the first iteration.
+    # Schedules lag by one iteration: 64 steps of 4 copies are done before the second update.
     expected = MADQNConfig(exploration_decay_steps=decay_steps).exploration(0.4, 64 * 4)
     assert learner.acting_parameters()["exploration"].item() == pytest.approx(expected)

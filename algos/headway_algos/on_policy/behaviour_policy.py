@@ -28,7 +28,7 @@ class BehaviourPolicy:
     acting: ActingPolicy
     layout: Layout
     hidden_states: HiddenStates | None = None
-    """Those of the trajectory to evaluate, if the policies are recurrent."""
+    """Hidden states of the trajectory to evaluate, if the policies are recurrent."""
 
     def probabilities(self, batch: CriticBatch) -> NDArray[np.float64]:
         """Return action probabilities (M, C, N, A), exactly 0 for forbidden actions. Discrete actions only.

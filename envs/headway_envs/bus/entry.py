@@ -29,7 +29,7 @@ TUNED = {
     "self_coordinating": {"gain": 0.02},
 }
 """Parameters of the literature's rules, chosen by `tests.trials.bus_rule_parameters`, when breakdowns were half
-as frequent. It now prefers a gain of 0.1 and a slack of 150 s for two of them, by 1% of their rewards."""
+as frequent. It now prefers a gain of 0.1 for `forward_headway` and a slack of 150 s for `simple_control`."""
 
 ENTRY = EnvEntry(
     summary="Buses that hold, move and go to service on lines with stochastic demand and travel times",

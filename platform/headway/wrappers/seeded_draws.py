@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
 
@@ -13,7 +14,7 @@ class SeededDraws(BaseParallelWrapper):  # type: ignore[misc]  # pettingzoo's ty
     it.
     """
 
-    def __init__(self, env: Any) -> None:  # noqa: ANN401 - PettingZoo comes without types
+    def __init__(self, env: ParallelEnv) -> None:
         super().__init__(env)
         self._lacking = not hasattr(env.unwrapped, "np_random")
 

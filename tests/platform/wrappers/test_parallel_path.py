@@ -171,7 +171,7 @@ def test_skipping_steps_is_refused_if_agents_idle(skips: bool, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("frames", [2, [1, 3]])
-def test_skipped_frames_are_steps_of_an_environment_without_draws(frames: Any) -> None:  # noqa: ANN401 - as in YAML
+def test_skipped_frames_are_steps_of_an_environment_without_draws(frames: int | list[int]) -> None:
     """A step is some steps with the same actions; the seed decides how many if they are drawn."""
     entry = ENTRIES["tracking"]
     make = entry.parallel_env
