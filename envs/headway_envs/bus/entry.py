@@ -28,8 +28,9 @@ TUNED = {
     "simple_control": {"kept": 0.5, "slack": 180.0},
     "self_coordinating": {"gain": 0.02},
 }
-"""Parameters of the literature's rules, chosen by `tests.trials.bus_rule_parameters`, when breakdowns were half
-as frequent. It now prefers a gain of 0.1 for `forward_headway` and a slack of 150 s for `simple_control`."""
+"""Parameters of the literature's rules, chosen by `tests.trials.bus_rule_parameters` when breakdowns were
+half as frequent. It now prefers a gain of 0.1 for `forward_headway` and a slack of 150 s for
+`simple_control`."""
 
 ENTRY = EnvEntry(
     summary="Buses that hold, move and go to service on lines with stochastic demand and travel times",

@@ -9,9 +9,9 @@ from headway_envs.bus.prepared import Prepared
 
 
 def test_behind_the_last_bus_comes_the_next_to_leave_the_terminal(line: Prepared) -> None:
-    """The expected departures of a day with many overdue trips are nearer to the actual ones than the timetable.
+    """The expected departures of a day with many overdue trips are nearer to the actual ones than planned ones.
 
-    By the timetable an overdue trip leaves at once, although its bus may still be under way.
+    By the timetable, an overdue trip leaves at once, although its bus may still be under way.
     """
     env = begun(BusBatchedEnv(line, 1))
     net, slots = env.network, env.world.slots[0]
