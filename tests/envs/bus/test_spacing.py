@@ -9,7 +9,7 @@ from headway_envs.bus.prepared import Prepared
 
 
 def test_behind_the_last_bus_comes_the_next_to_leave_the_terminal(line: Prepared) -> None:
-    """The expected departures of a day with many overdue trips are nearer to the actual ones than planned ones.
+    """Expected departures of a day with many overdue trips are nearer to the actual than the planned ones.
 
     By the timetable, an overdue trip leaves at once, although its bus may still be under way.
     """
