@@ -184,7 +184,8 @@ def by_stop(tables: Tables, day: str) -> list[tuple[str, str | None, str, float]
     lines = calls.merge(tables.patterns[["pattern", "line"]], on="pattern").groupby("stop")["line"].unique()
     demand = tables.demand[tables.demand["daytype"] == day]
     boards = calls.merge(demand, on=["pattern", "seq0"]).groupby("stop")["board"].sum()
-    names = tables.stops.reindex(columns=["stop", "name"]).fillna("").set_index("stop")["name"]
+    stops = tables.stops.reindex(columns=["stop", "name"]).astype({"name": object})
+    names = stops.fillna("").set_index("stop")["name"]
     found = [
         (
             str(stop),
