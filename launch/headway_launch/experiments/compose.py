@@ -193,7 +193,7 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     if config.device.startswith("cuda") and not Path("/dev/nvidiactl").exists():
         raise HeadwayError(f"device={config.device}, but this machine has no NVIDIA GPU; use auto or cpu")
     with prints_to_stderr():  # an environment's module may print
-        env = chosen_env(config.env)
+        env = chosen_env(config.env, [key for stage in config.stages for key in stage.training_args])
     by_stage = {
         f"stages[{place}].training_args": stage.training_args for place, stage in enumerate(config.stages)
     }
