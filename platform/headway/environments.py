@@ -20,14 +20,15 @@ class ChosenEnv:
     """Environment of evaluation and reports: with all wrappers except those that only change rewards."""
     training_entry: EnvEntry
     """Environment of training: with all wrappers. Both entries have the same `make`. For an environment that
-    takes any keyword, `config` has the keys of `args` and also accepts those of `training_args`."""
+    takes any keyword, `config` has the keys of `args` and also those of `training_args` and of stages."""
     mapping: dict[str, Any]
     """The keys of `env.*` except `id` and `args`, with all arguments of wrappers written out. Keys left at
     null or empty are omitted."""
 
 
-def chosen_env(config: EnvConfig) -> ChosenEnv:
-    """Return the environment that a configuration names.
+def chosen_env(config: EnvConfig, of_stages: Iterable[str] = ()) -> ChosenEnv:
+    """Return the environment that a configuration names. `of_stages`: names of the arguments that training
+    stages set.
 
     Raises HeadwayError for an unknown id, wrapper or wrapper argument, and for a key that this environment
     does not take.
@@ -48,8 +49,9 @@ def chosen_env(config: EnvConfig) -> ChosenEnv:
             f"env.file_digest is for Python files only; remove it, since {config.id} is not one"
         )
     entry = training = own or _module_entry(config, config.args)
-    if external and config.training_args:
-        training = _module_entry(config, {**config.args, **config.training_args})
+    of_training = (*(config.training_args or {}), *of_stages)
+    if external and of_training:
+        training = _module_entry(config, dict.fromkeys((*config.args, *of_training)))
     if not config.wrappers:
         return ChosenEnv(entry, training, options)
     # Imported here: they import Gymnasium, which most runs without wrappers do not need.

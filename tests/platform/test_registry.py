@@ -6,6 +6,7 @@ import pytest
 
 from headway.contracts import HeadwayError
 from headway.registry import env_entries, rule_entry, rule_names
+from headway.wrappers.wrapped_env import wrapped_entry
 
 PACKAGE = """
 from headway.contracts import EnvEntry, RuleEntry
@@ -77,3 +78,10 @@ def test_a_lookahead_that_cannot_be_is_one_line(env: str, name: str, line: str) 
         rule_entry(env_entries()[env], name)
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_lookahead_does_not_improve_on_random_play_behind_reward_wrappers() -> None:
+    entry = wrapped_entry("bus", env_entries()["bus"], [])
+    assert "even_headway" in rule_entry(entry, "lookahead:even_headway").summary
+    with pytest.raises(HeadwayError, match="'random' is not a rule to improve on"):
+        rule_entry(entry, "lookahead:random")

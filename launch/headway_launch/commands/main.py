@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from headway.config.schema import nearest, suggestion
-from headway.contracts.errors import EnvironmentRaisedError, HeadwayError
+from headway.contracts.errors import EnvironmentRaisedError, HeadwayError, one_line
 from headway_launch.console.output import distinct_notices, exit_of_environment, print_line, silence
 from headway_launch.console.threads import limit_threads
 
@@ -193,10 +193,7 @@ def _line_of(error: BaseException) -> str:
         case SystemExit():  # not of Headway's own code
             return f"{exit_of_environment(error)} (--debug shows where)"
         case MemoryError():
-            return (
-                f"this needs more memory than is free{f' ({text})' if text else ''}; lower sizes, such as "
-                "rollout.copies, backend.stack or the environment's own"
-            )
+            return one_line(error)
         case _:
             return f"unexpected {type(error).__name__}: {text} (--debug shows where)"
 

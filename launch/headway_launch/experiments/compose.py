@@ -193,7 +193,7 @@ def resolve(mapping: Mapping[str, Any]) -> Experiment:
     if config.device.startswith("cuda") and not Path("/dev/nvidiactl").exists():
         raise HeadwayError(f"device={config.device}, but this machine has no NVIDIA GPU; use auto or cpu")
     with prints_to_stderr():  # an environment's module may print
-        env = chosen_env(config.env)
+        env = chosen_env(config.env, [key for stage in config.stages for key in stage.training_args])
     by_stage = {
         f"stages[{place}].training_args": stage.training_args for place, stage in enumerate(config.stages)
     }
@@ -283,6 +283,8 @@ def _hydra_override(override: str, overrides: Sequence[str]) -> str:
     prefix, key, value = parts["prefix"], parts["key"].strip(), parts["value"]
     if key == "algo.name":
         raise HeadwayError(f"{override}: algo.name follows from the choice of algo; write algo={value}")
+    if re.match(r"hydra\b", key):
+        raise UnknownKeyError(key, _EXPERIMENT, "leave it out (--config-dir finds further files)")
     if key == "seed":
         return f"++seed=[{','.join(str(seed) for seed in parse_seeds(value))}]"
     if prefix:
@@ -313,7 +315,7 @@ def _require_known_key(key: str, value: str, overrides: Sequence[str]) -> None:
     """Raise HeadwayError, with a suggestion, if a key is neither a key nor a group of the experiment."""
     head, _, rest = key.partition(".")
     names = _KEYS | {"experiment", "preset"}
-    if head in names or head == "hydra":
+    if head in names:
         return
     ours = ALIASES.get(key, key)
     known = [other for other in overrides if _first_part(other) in names]

@@ -176,6 +176,9 @@ class Scheduler:
             job.progress.status, job.elsewhere = "elsewhere", error.directories
         except HeadwayError as error:
             self._take(job, Failed(str(error), traceback.format_exc()), shown)
+        except OSError as error:  # too many processes or open files
+            line = f"its training process cannot be started ({error.strerror}); lower backend.parallel"
+            self._take(job, Failed(line, traceback.format_exc()), shown)
 
     def _receive_events(self, shown: Progress) -> None:
         """Process the events that have arrived, after waiting up to `_POLL_S` for the first."""

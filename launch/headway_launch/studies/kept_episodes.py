@@ -10,7 +10,6 @@ from headway.store.atomic_files import read_json, write_json
 from headway.store.run_folder import best_file
 from headway.wording import counted
 from headway_launch.console.output import print_line
-from headway_launch.console.output_files import write_error
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,10 +62,7 @@ def keep_episodes(
         if lost:
             reason = "they were played with another --episodes, --seed or --mode"
             print_line(f"headway: removed the kept episodes of {lost}: {reason}")
-    try:
-        write_json(path, kept)
-    except OSError as error:
-        raise write_error("--keep", path, error) from error
+    write_json(path, kept)
 
 
 def _episodes(kept: Mapping[str, Any]) -> tuple[int, str, set[int]]:

@@ -186,6 +186,8 @@ def kept_plans(root: Path, study: str) -> list[Experiment]:
     experiments = []
     for path in sorted(plans_folder(root, study).glob("*.json"), key=lambda path: path.stat().st_mtime_ns):
         for cell in _cells(path):
+            if cell["config"].get("study") != study:  # its name differs in characters that folders lack
+                continue
             mapping = {**upgraded(cell["config"]), "seed": cell["seeds"]}
             # The store may have been moved since the plan was written.
             mapping["store"] = {**mapping.get("store", {}), "root": str(root)}

@@ -155,11 +155,10 @@ class Verification:
         backend = {**mapping["backend"], "workers": None, "parallel": None, "stack": 1, "learners": None}
         if backend["name"] == "ray":
             backend |= {"name": BackendConfig.name, "address": BackendConfig.address, "worker_cpus": None}
-        rollout = mapping["rollout"]
         return {
             **mapping,
             "device": "auto" if on_gpu else "cpu",
-            "rollout": rollout if run.plan.block is None else {**rollout, "block": run.plan.block},
+            "rollout": {**mapping["rollout"], "block": run.plan.block},
             "backend": backend,
             "evaluation": {**mapping["evaluation"], "rules": []},
             "energy": {**mapping.get("energy", {}), "enabled": False},

@@ -149,7 +149,7 @@ class ParallelEnvBatch:
             agents=agents,
             observation_size=size,
             action_space=actions,
-            state_size=_state_size(first),
+            state_size=_state_size(name, first),
             groups=options.groups,
             shared_reward=bool(options.shared_reward),
             has_action_mask=_any_info_has(infos, "action_mask"),
@@ -242,8 +242,7 @@ class ParallelEnvBatch:
             self._read_reset(copy, answer)
         except _MALFORMED as error:
             raise _malformed(self._spec.name, self._steps, _RESET_FORM, error) from error
-        if self._spec.state_size:
-            self._observed.states[copy] = env.state().reshape(-1)
+        self._read_state(copy, self._observed.states)
 
     def _read_reset(self, copy: int, answer: tuple[Mapping[str, Any], Infos]) -> None:
         observations, infos = answer
@@ -266,9 +265,7 @@ class ParallelEnvBatch:
             form = "(observations, rewards, terminations, truncations, infos)"
             raise _malformed(self._spec.name, self._steps, form, error) from error
         has_ended = self._outcome.episode_ended[copy]
-        if self._spec.state_size:
-            states = self._outcome.final_states if has_ended else self._observed.states
-            states[copy] = self._envs[copy].state().reshape(-1)
+        self._read_state(copy, self._outcome.final_states if has_ended else self._observed.states)
         if has_ended:
             self._begin(copy, self._episodes[copy] + 1)
 
@@ -288,7 +285,7 @@ class ParallelEnvBatch:
             and True not in truncated.values()
         ):
             if self._spec.agents_come_and_go:
-                self._observed.alive[copy] = True
+                self._observed.alive[copy] = ~self._ended[copy]
         else:
             ended = self._end_streams(copy, terminated, truncated)
             self._update_alive(copy)
@@ -299,6 +296,20 @@ class ParallelEnvBatch:
         self._require_observations(observations, self._observed.alive[copy] | truncated_now)
         if ended:
             self._end_episode(copy, infos)
+
+    def _read_state(self, copy: int, states: NDArray[np.float32]) -> None:
+        """Write a copy's global state, if the environment has one, to its row of `states` (C, S)."""
+        name, size = self._spec.name, self._spec.state_size
+        if not size:
+            return
+        state = _call(name, "state", self._envs[copy].state)
+        try:
+            states[copy] = np.reshape(state, size)
+        except (TypeError, ValueError) as error:
+            raise HeadwayError(
+                f"environment '{name}' returned a state at step {self._steps} that is not {size} numbers, as "
+                "after its first reset; return an array of one size"
+            ) from error
 
     def _write_observations(self, copy: int, observations: Mapping[str, Any]) -> None:
         rows, agents = self._observed.observations[copy], self._spec.agents
@@ -499,8 +510,10 @@ def _any_info_has(infos: Infos, key: str) -> bool:
     return any(key in info for info in infos.values() if info)
 
 
-def _state_size(env: ParallelEnv) -> int:
+def _state_size(name: str, env: ParallelEnv) -> int:
     try:
         return int(np.size(env.state()))
     except (NotImplementedError, AttributeError):
         return 0
+    except Exception as error:  # the environment's own code
+        raise EnvironmentRaisedError(name, "state", error) from error

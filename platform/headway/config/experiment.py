@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import accumulate, pairwise
 from typing import Any, Literal
 
-from headway.contracts.checks import require_at_least, require_key, require_value
+from headway.contracts.checks import require_at_least, require_finite, require_key, require_value
 from headway.contracts.errors import InvalidValueError
 
 NO_PRESET = "none"
@@ -186,6 +186,7 @@ class StartConfig:
     critic would spoil a good policy."""
 
     def __post_init__(self) -> None:
+        require_finite(self)
         require_key(
             self.rule is None or self.run is None, "run", "excludes start.rule: leave one of them out"
         )
@@ -247,6 +248,8 @@ class EvaluationConfig:
         require_at_least(1, episodes=self.episodes, every=self.every, final_episodes=self.final_episodes)
         require_at_least(0, seed=self.seed)
         require_key(len(self.modes) >= 1, "modes", "must name at least one of greedy, sampled")
+        for key, names in (("modes", self.modes), ("rules", self.rules or ())):
+            require_key(len(set(names)) == len(names), key, "must hold each name once")
 
     @property
     def last_episodes(self) -> int:
@@ -295,6 +298,7 @@ class EnergyConfig:
     """Seconds between measurements."""
 
     def __post_init__(self) -> None:
+        require_finite(self)
         require_value(
             self, "cpu_power_w", self.cpu_power_w is None or self.cpu_power_w > 0, "must be above 0, or null"
         )

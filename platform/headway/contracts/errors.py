@@ -32,13 +32,22 @@ class EnvironmentRaisedError(Exception):
 
 
 def one_line(error: BaseException) -> str:
-    """Return `TYPE: first line of the message`; the message alone of errors that Headway words."""
+    """Return `TYPE: first line of the message`; the message alone of errors that Headway words.
+
+    Python raises a MemoryError without a message, so it gets one.
+    """
     try:
         text = str(error)
     except Exception:  # of an environment's own class
         text = "its message cannot be read"
     if isinstance(error, HeadwayError | EnvironmentRaisedError):
         return text
+    if isinstance(error, MemoryError):
+        wanted = f" ({' '.join(text.split())})" if text else ""
+        return (
+            f"MemoryError: this needs more memory than is free{wanted}; lower sizes, such as rollout.copies, "
+            "rollout.steps, backend.stack or the environment's own"
+        )
     return f"{type(error).__name__}: {text}".splitlines()[0]
 
 

@@ -73,6 +73,17 @@ def remove_replay(directory: Path, gate: Path | None) -> None:
         discard(path, gate)
 
 
+def rewind_checkpoints(directory: Path, iteration: int, gate: Path | None) -> None:
+    """Remove all checkpoints and replay data newer than `iteration`, from which training could not resume.
+
+    By their names they would count as the newest. Raises HeadwayError if the gate has been closed.
+    """
+    for kind in _NAMES:
+        for newer, path in _files(directory, kind):
+            if newer > iteration:
+                discard(path, gate)
+
+
 def load_for_resume(*directories: Path) -> tuple[int, dict[str, Any], tuple[str, ...]]:
     """Load the newest checkpoint from which training can resume, with its replay data.
 

@@ -131,14 +131,19 @@ class RunIndex:
 
 
 def _prepare(database: sqlite3.Connection) -> None:
-    version = database.execute("PRAGMA user_version").fetchone()[0]
-    if version == _VERSION:
+    if _is_current(database):
         return
     database.execute("BEGIN IMMEDIATE")
-    database.execute("DROP TABLE IF EXISTS runs")
-    database.execute(f"CREATE TABLE runs ({','.join(_COLUMNS)}, stamp, PRIMARY KEY (directory))")
-    database.execute(f"PRAGMA user_version = {_VERSION}")
+    # Another process may have made the table, and read it, while this one waited.
+    if not _is_current(database):
+        database.execute("DROP TABLE IF EXISTS runs")
+        database.execute(f"CREATE TABLE runs ({','.join(_COLUMNS)}, stamp, PRIMARY KEY (directory))")
+        database.execute(f"PRAGMA user_version = {_VERSION}")
     database.execute("COMMIT")
+
+
+def _is_current(database: sqlite3.Connection) -> bool:
+    return bool(database.execute("PRAGMA user_version").fetchone()[0] == _VERSION)
 
 
 def folder_stamp(folder: Path) -> str:

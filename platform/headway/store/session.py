@@ -237,12 +237,14 @@ class Run:
 
         Raises HeadwayError if the record cannot be written or the log cannot be read.
         """
-        logged = read_rows(self.directory, "curve", after=self.record.durable_iteration)
+        # Fewer iterations than recorded, if training has resumed from an older checkpoint.
+        before = min(self.record.durable_iteration, iteration - 1)
+        logged = read_rows(self.directory, "curve", after=before)
         env_steps = [int(row["env_steps"]) for row in logged if int(row["iteration"]) <= iteration]
         self.record = replace(
             self.record,
             durable_iteration=iteration,
-            durable_env_steps=max([self.record.durable_env_steps, *env_steps]),
+            durable_env_steps=max(env_steps, default=self.record.durable_env_steps),
         )
         if self.record.status == "RUNNING":  # else an earlier session has finished it
             # A session that is killed records nothing at its end.

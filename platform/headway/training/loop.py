@@ -45,6 +45,7 @@ from headway.store.checkpoint import (
     load_latest,
     remove_replay,
     require_same_shapes,
+    rewind_checkpoints,
     write_checkpoint,
 )
 from headway.store.parquet_log import RunLog
@@ -349,8 +350,9 @@ class _Training:
                 )
             )
         self._resume_episodes()
-        for log in self.logs:
+        for log, directory, gate in zip(self.logs, self.job.checkpoints, self.job.gate_paths, strict=True):
             log.rewind(self.iteration)
+            rewind_checkpoints(directory, self.iteration, gate)
 
     def _resume_episodes(self) -> None:
         """Continue the episodes of the checkpoint, or begin those of a stage that follows it."""

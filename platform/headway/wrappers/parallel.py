@@ -9,6 +9,7 @@ import numpy as np
 
 from headway.config.schema import build
 from headway.contracts import HeadwayError, ObservationBounds
+from headway.contracts.errors import one_line
 from headway.registry import wrapper_entry
 from headway.wrappers.listed import ListedWrapper
 
@@ -99,8 +100,7 @@ def _trial_info_keys(made: WrappedParallelEnv, subject: str, problem: str) -> se
     except HeadwayError:
         raise
     except Exception as error:  # third parties' code may raise anything
-        reason = str(error).splitlines()[0] if str(error) else "no reason given"
-        raise HeadwayError(f"{subject} {problem}: {type(error).__name__}: {reason}") from error
+        raise HeadwayError(f"{subject} {problem}: {one_line(error)}") from error
 
 
 def _with_ending_slots(make: Callable[[Any], Any]) -> Callable[[Any], Any]:

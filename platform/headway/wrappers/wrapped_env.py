@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from headway.adapters.modules import ModuleEnv
 from headway.adapters.pettingzoo import AdapterOptions, ParallelEnvBatch
 from headway.contracts import (
+    RANDOM,
     BatchedEnv,
     BatchedWrapper,
     BatchWrapper,
@@ -24,7 +25,6 @@ from headway.contracts import (
     HeadwayError,
     ObservationBounds,
     Observations,
-    RandomRule,
     Rule,
     RuleEntry,
     StepResult,
@@ -104,13 +104,14 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
     """Return the entry of an environment with wrappers around it, the first of the list innermost.
 
     The environment's own rules inspect the environment and its unwrapped observations while playing the
-    wrapped one. Behind a wrapper that changes the meaning of actions only `random` remains, which plays the
-    wrapped environment. `lookahead` is available only if all wrappers change rewards only; these are not
+    wrapped one; `RANDOM` plays the wrapped environment. Behind a wrapper that changes the meaning of actions
+    only `RANDOM` remains. `lookahead` is available only if all wrappers change rewards only; these are not
     among `wrappers` when rules play.
     """
-    rules, variant, renderer = entry.rules, entry.prepare_variant, entry.renderer
+    variant, renderer = entry.prepare_variant, entry.renderer
+    rules = {rule: own if own is RANDOM else _rule_behind(rule, own) for rule, own in entry.rules.items()}
     if any(wrapper.entry.changes_actions for wrapper in wrappers):
-        rules = {"random": rules["random"]}
+        rules = {"random": RANDOM}
     prepare = partial(_prepare, name, entry, tuple(wrappers))
     return replace(
         entry,
@@ -118,7 +119,7 @@ def wrapped_entry(name: str, entry: EnvEntry, wrappers: Sequence[ListedWrapper])
         prepare=lambda config: prepare(entry.prepare(config)),
         prepare_variant=variant and (lambda config, other: prepare(variant(config, other.prepared))),
         parallel_env=None,
-        rules={rule: _rule_behind(rule, own) for rule, own in rules.items()},
+        rules=rules,
         lookahead=None if wrappers else entry.lookahead,
         simulated=lambda wrapped: replace(wrapped, prepared=entry.simulated(wrapped.prepared)),
         renderer=renderer and (lambda wrapped: renderer(wrapped.prepared)),
@@ -242,13 +243,12 @@ def _rule_behind(name: str, own: RuleEntry) -> RuleEntry:
     """Return the entry of a rule that plays a wrapped environment."""
 
     def make_behind(wrapped: Wrapped) -> Rule:
-        rule = own.make(wrapped.prepared)
-        if not (wrapped.shows_native or isinstance(rule, RandomRule)):
+        if not wrapped.shows_native:
             raise HeadwayError(
                 f"rule {name!r} of {wrapped.name} cannot inspect the environment behind these wrappers; "
                 "leave out the rule, or the wrappers without a batched form"
             )
-        return RuleBehindWrappers(rule, through_parallel_env=wrapped.parallel is not None)
+        return RuleBehindWrappers(own.make(wrapped.prepared), wrapped.parallel is not None)
 
     return replace(own, make=make_behind)
 
@@ -264,8 +264,6 @@ class RuleBehindWrappers:
 
     def act(self, env: BatchedEnv, observed: Observations) -> NDArray[Any]:
         """Return the rule's actions, given the environment behind the wrappers and its last observations."""
-        if isinstance(self.rule, RandomRule):
-            return self.rule.act(env, observed)
         inner, inner_observed = _innermost(env, observed)
         if not self.through_parallel_env:
             assert inner_observed is not None

@@ -43,6 +43,15 @@ def test_a_pettingzoo_environment_composes_by_its_module() -> None:
     assert "wrappers" not in full_mapping(experiment, [0])["env"]
 
 
+def test_stages_may_set_arguments_of_an_environment_that_takes_any() -> None:
+    making = "def parallel_env(**given):\n    return Scripted(agents='ab'[: given['agents']])\n"
+    Path("any.py").write_text(f"from scripted import Scripted\n\n\n{making}")
+    stages = ", ".join(f"{{env_steps: 9_000, training_args: {{pay: {pay}}}}}" for pay in (1, 2))
+    found = compose(["env=./any.py", "algo=ippo", "env.args.agents=2", f"stages=[{stages}]"]).prepare()
+    assert found.prepared.arguments == {"agents": 2}
+    assert [stage.arguments for stage in found.stages] == [{"agents": 2, "pay": 1}, {"agents": 2, "pay": 2}]
+
+
 _LOUD = """
 from scripted import Scripted
 

@@ -255,6 +255,10 @@ def test_blocks_of_an_asynchronous_algorithm_shrink_to_the_limit_of_copies() -> 
         ),
         (["env=trivial", "algo=ippo", "start.rule=random"], "'random' is not a rule of trivial"),
         (
+            ["env=trivial", "algo=ippo", "start.rule=random", "env.wrappers=[clip_reward_v0]"],
+            "'random' is not a rule of trivial",
+        ),
+        (
             ["env=tracking", "algo=a3c", "start.rule=optimal"],
             "a3c starts from random parameters only; .*=ippo",
         ),

@@ -1,5 +1,6 @@
 """The scheduler and training processes that hang."""
 
+import errno
 import signal
 import time
 from collections.abc import Callable, Sequence
@@ -48,15 +49,20 @@ def _job(seed: int) -> SessionJob:
     return cast(SessionJob, job)
 
 
-def _run(trainings: Sequence[_Silent], tick: Callable[[], Any]) -> list[str]:
-    """Return the statuses in which jobs with these training processes end."""
+def _run(trainings: Sequence[_Silent | OSError], tick: Callable[[], Any]) -> list[str]:
+    """Return the statuses in which jobs with these training processes end; an error: it cannot be started."""
     jobs, waiting = [_job(seed) for seed in range(len(trainings))], iter(trainings)
+
+    def start(job: SessionJob) -> _Silent:
+        if isinstance(training := next(waiting), OSError):
+            raise training
+        return training
 
     def ticked() -> Sequence[str]:
         tick()
         return ()
 
-    started = Scheduler(jobs, CoreShares(len(jobs), 1), lambda job: next(waiting), lambda job: None, ticked)
+    started = Scheduler(jobs, CoreShares(len(jobs), 1), start, lambda job: None, ticked)
     started.run()
     return [job.progress.status for job in jobs]
 
@@ -81,6 +87,15 @@ def test_a_training_process_that_does_not_stop_is_killed(
     told = capsys.readouterr().err
     assert told.count("does not stop: killed; training after the last checkpoint is lost") == 1
     assert "seed 0 does not stop" in told
+
+
+def test_a_training_process_that_cannot_be_started_fails_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    other = _Silent((*BEGUN, Finished(10, stopped=False)))
+    other.theirs.close()
+    refused = OSError(errno.EAGAIN, "Resource temporarily unavailable")
+    assert _run([refused, other], lambda: None) == ["failed", "finished"]
+    line = "seed 0 failed: its training process cannot be started (Resource temporarily unavailable); lower"
+    assert line in capsys.readouterr().err
 
 
 def test_a_training_process_that_has_not_begun_is_killed_at_once(capsys: pytest.CaptureFixture[str]) -> None:

@@ -137,6 +137,14 @@ def test_a_plan_is_kept_once_and_read_back(tmp_path: Path) -> None:
     assert kept["ia2c"].algo_config == experiments[1].algo_config
 
 
+def test_the_plan_of_a_study_with_a_similar_name_is_not_its_own(tmp_path: Path) -> None:
+    overrides = ["env=trivial", "algo=ippo", "study='my toys'", "seed=0..2"]
+    keep_plan(tmp_path, "my toys", compose_sweep(overrides))
+    assert plans_folder(tmp_path, "my toys") == plans_folder(tmp_path, "my-toys")
+    assert len(kept_plans(tmp_path, "my toys")) == 1
+    assert kept_plans(tmp_path, "my-toys") == []
+
+
 def test_a_broken_plan_prints_one_line(tmp_path: Path) -> None:
     plans_folder(tmp_path, "toys").mkdir(parents=True)
     (plans_folder(tmp_path, "toys") / "x.json").write_text('{"cells": [1]}')

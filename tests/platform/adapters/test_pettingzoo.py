@@ -91,6 +91,21 @@ def test_a_dead_agent_is_absent_until_the_next_episode() -> None:
     assert observed.alive.all()
 
 
+def test_a_dead_agent_that_stays_listed_is_absent_too() -> None:
+    class Listing(Scripted):
+        def step(self, actions: dict[str, Any]) -> tuple[Any, ...]:
+            answer = super().step(actions)
+            if self.steps < self.length:
+                self.agents = list(self.possible_agents)
+            return answer
+
+    options = AdapterOptions(agents_come_and_go=True)
+    env = ParallelEnvBatch(partial(Listing, kill_b_at_two), 1, "scripted", options)
+    env.reset(seeds(1))
+    present = [env.step(NOTHING[:1])[1].alive[0].tolist() for _ in range(3)]
+    assert present == [[True, True], [True, False], [True, False]]
+
+
 def test_only_present_agents_get_actions() -> None:
     made = Scripted(kill_b_at_two)
     env = ParallelEnvBatch(lambda: made, 1, "scripted", AdapterOptions(agents_come_and_go=True))
@@ -392,6 +407,32 @@ def test_the_global_state_is_used_if_there_is_one() -> None:
         outcome, observed = env.step(NOTHING[:1])
     np.testing.assert_array_equal(outcome.final_states, [[first, 4]])
     np.testing.assert_array_equal(observed.states, [[second, 0]])
+
+
+def test_a_state_that_cannot_be_used_is_an_error() -> None:
+    class Late(Scripted):
+        def state(self) -> object:
+            return [np.zeros(2), [0, 1], np.zeros(1)][self.steps]
+
+    env = ParallelEnvBatch(Late, 1, "scripted")
+    np.testing.assert_array_equal(env.reset(seeds(1)).states, [[0, 0]])
+    np.testing.assert_array_equal(env.step(NOTHING[:1])[1].states, [[0, 1]])
+    with pytest.raises(HeadwayError, match=r"returned a state at step 2 that is not 2 numbers"):
+        env.step(NOTHING[:1])
+
+
+@pytest.mark.parametrize("steps", [0, 2])
+def test_an_error_in_the_environment_s_state_is_named_with_its_place(steps: int) -> None:
+    class Raising(Scripted):
+        def state(self) -> NDArray[np.float64]:
+            if self.steps == steps:
+                raise ValueError("no state")
+            return np.zeros(2)
+
+    with pytest.raises(
+        EnvironmentRaisedError, match=r"raised ValueError: no state in state \(test_pettingzoo"
+    ):
+        play_steps(ParallelEnvBatch(Raising, 1, "scripted"), 2)
 
 
 def reassign_slot_b(env: Scripted) -> None:

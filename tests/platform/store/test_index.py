@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 from stored_runs import keep
 
 from headway.store.atomic_files import write_json
-from headway.store.index import RunIndex, RunRow, _row
+from headway.store.index import RunIndex, RunRow, _prepare, _row
 from headway.store.run_folder import RunRecord, read_summary
 
 
@@ -70,6 +71,21 @@ def test_a_locked_index_does_not_block_a_query(tmp_path: Path, monkeypatch: pyte
     _run(tmp_path, 1)
     assert len(RunIndex(tmp_path).rows()) == 2
     other.close()
+
+
+def test_an_index_that_another_process_has_just_made_is_kept(tmp_path: Path) -> None:
+    """The other process may still have to read its rows."""
+    _run(tmp_path, 5)
+
+    def make_before(statement: str) -> None:
+        if statement == "BEGIN IMMEDIATE":
+            RunIndex(tmp_path).rows()
+
+    with closing(sqlite3.connect(tmp_path / "index.sqlite", isolation_level=None)) as database:
+        database.set_trace_callback(make_before)
+        _prepare(database)
+        database.set_trace_callback(None)
+        assert database.execute("SELECT seed FROM runs").fetchall() == [(5,)]
 
 
 def test_a_broken_record_is_a_notice(tmp_path: Path) -> None:

@@ -191,6 +191,18 @@ def test_the_time_of_a_killed_session_counts_up_to_its_last_checkpoint(
     assert resumed.record.duration_s == 107.0
 
 
+def test_steps_after_the_checkpoint_that_training_resumes_from_do_not_count(root: Path) -> None:
+    run = _begin(SessionStore(StoreConfig(str(root))))
+    _train(run, 0, 20)
+    assert (run.record.durable_iteration, run.record.durable_env_steps) == (20, 2000)
+    log = RunLog(run.directory)
+    log.rewind(10)  # the checkpoint of iteration 20 was broken
+    log.append("curve", [_row(iteration) for iteration in range(11, 16)])
+    log.commit(15)
+    run.durable(15)
+    assert (run.record.durable_iteration, run.record.durable_env_steps) == (15, 1500)
+
+
 def test_a_finished_run_of_a_killed_stack_keeps_its_summary(root: Path) -> None:
     """The session died between the ends of the stack's two runs, and the rest is resumed with both."""
     config = StoreConfig(root=str(root))

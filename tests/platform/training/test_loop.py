@@ -199,6 +199,15 @@ def test_a_checkpoint_cut_in_half_falls_back_to_the_one_before(whole: Log, tmp_p
     assert logs_of(job) == [whole]
 
 
+def test_a_broken_checkpoint_is_removed_once_training_goes_on_before_it(tmp_path: Path) -> None:
+    job = job_of(tmp_path)
+    trained(job, stop_after=4)
+    folder = tmp_path / "5" / "checkpoints"
+    (folder / "checkpoint-000004.pt").write_bytes(b"half")
+    trained(replace(job, resume=True), stop_after=1)
+    assert sorted(path.name for path in folder.iterdir()) == ["checkpoint-000002.pt", "checkpoint-000003.pt"]
+
+
 def _train_in_a_process(job: TrainingJob) -> int | None:
     process = multiprocessing.get_context("forkserver").Process(target=train_quietly, args=(job,))
     process.start()

@@ -177,7 +177,7 @@ def require_answer(address: str) -> str:
             channel.settimeout(_REACHED_S)
             channel.sendall(_HTTP2_PREFACE)
             frame_header = channel.recv(9)
-    except (OSError, OverflowError) as error:
+    except (OSError, OverflowError, ValueError) as error:  # ValueError: RAY_ADDRESS has no port
         reason = getattr(error, "strerror", None) or error
         raise WorkersLostError(
             f"no Ray cluster answers at backend.address={address} ({reason}); {_FIX}"

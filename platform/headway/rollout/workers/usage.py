@@ -54,15 +54,19 @@ def proportional_memory() -> int:
 def available_memory(proc: Path = Path("/proc"), group: Path = Path("/sys/fs/cgroup")) -> int | None:
     """Return the bytes available without swapping; None on systems that do not report them.
 
-    Limited by the machine's memory and, in a container, by its control group (version 2).
+    Limited by the machine's memory and, in a container, by its control group (version 2), whose page cache
+    is available too.
     """
     bounds = [_field(proc / "meminfo", "MemAvailable:")]
+    names = ("memory.max", "memory.current", "memory.stat")
     try:
-        limit, used = ((group / name).read_text().strip() for name in ("memory.max", "memory.current"))
+        limit, used, statistics = ((group / name).read_text().strip() for name in names)
     except OSError:
-        limit, used = "max", ""
+        limit, used, statistics = "max", "", ""
     if limit != "max":
-        bounds.append(max(int(limit) - int(used), 0))
+        counts = dict(line.split() for line in statistics.splitlines())
+        cache = sum(int(counts.get(name, 0)) for name in ("active_file", "inactive_file"))
+        bounds.append(max(int(limit) - int(used) + cache, 0))
     return min((bound for bound in bounds if bound is not None), default=None)
 
 

@@ -34,6 +34,10 @@ def test_an_address_without_a_cluster_is_refused_in_one_line(monkeypatch: pytest
     assert "no Ray cluster answers at backend.address=nowhere.invalid:1" in _refusal("nowhere.invalid:1")
     monkeypatch.setenv("RAY_ADDRESS", f"127.0.0.1:{port}")
     assert "no Ray cluster answers" in _refusal("auto")
+    monkeypatch.setenv("RAY_ADDRESS", "head:port")
+    assert "no Ray cluster answers at backend.address=head:port (invalid literal for int()" in _refusal(
+        "auto"
+    )
 
 
 @pytest.mark.cluster
