@@ -25,6 +25,9 @@ from headway_launch.console.output import print_line
 
 TRACEBACK = "traceback.txt"
 """Name of the file, in the folder of a failed run, that holds the traceback."""
+_MEASURED_SHARE = 0.99
+"""Least share of a run's CPU seconds that is measured where a run has an energy: a session can be too short
+for a reading."""
 
 
 @dataclass
@@ -78,7 +81,8 @@ class JobRecorder:
         """Store an energy sample in each run and return the samples, one per seed.
 
         A sample is the seed's equal share of the job's `energy` in this session plus its use in earlier ones,
-        and the run's wall time, which is known also where energy is not measured.
+        and the run's wall time, which is known also where energy is not measured. A part of the energy that
+        one of these sessions did not measure is left out: the rest is not the run's energy.
         `moment`: seconds since the epoch.
         """
         seeds = len(self.runs)
@@ -86,7 +90,12 @@ class JobRecorder:
         samples = []
         for run, before in zip(self.runs, self.before or (dict[str, float](),) * seeds, strict=True):
             earlier = {name: float(value) for name, value in before.items() if name != "time"}
-            sums = {name: earlier.get(name, 0.0) + share.get(name, 0.0) for name in {**earlier, **share}}
+            sums = {}
+            for name in {**earlier, **share}:
+                measured = [session for session in (earlier, share) if name in session]
+                covered = sum(session.get("cpu_seconds", 0.0) for session in measured)
+                if covered >= _MEASURED_SHARE * (earlier.get("cpu_seconds", 0.0) + share["cpu_seconds"]):
+                    sums[name] = sum(session[name] for session in measured)
             samples.append({"time": moment, **sums, "duration_s": run.duration_s})
             run.energy.append(samples[-1])
         return samples

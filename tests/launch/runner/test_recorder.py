@@ -76,6 +76,27 @@ def test_energy_samples_have_the_wall_time_also_where_energy_is_unknown(runs: Se
         assert list(samples["cpu_seconds"]) == [7.0, 7.0]
 
 
+@pytest.mark.parametrize(
+    ("earlier", "kwh", "total"),
+    [
+        ({"cpu_seconds": 90.0, "kwh": 0.9}, 0.2, 0.9 + 0.1),
+        ({"cpu_seconds": 90.0}, 0.2, None),
+        ({"cpu_seconds": 0.05}, 0.2, 0.1),
+        ({"cpu_seconds": 90.0, "kwh": 0.9}, None, None),
+        ({"cpu_seconds": 9000.0, "kwh": 90.0}, None, 90.0),
+    ],
+)
+def test_energy_that_a_session_did_not_measure_is_not_left_out_of_a_total(
+    runs: Sequence[Run], earlier: dict[str, float], kwh: float | None, total: float | None
+) -> None:
+    """Unless that session is too short to matter. This session: 10 CPU seconds per seed."""
+    recording = JobRecorder(runs, before=(earlier,) * 2)
+    recording.take(IterationFinished(1, STEPS, Usage(cpu_seconds=20.0), 1.0, 0.5, 0.5))
+    for sample in recording.keep_energy(1.0, Energy(kwh, None, None, None)):
+        assert sample.get("kwh") == (None if total is None else pytest.approx(total))
+        assert sample["cpu_seconds"] == earlier["cpu_seconds"] + 10.0
+
+
 @pytest.mark.parametrize(("evaluations", "area"), [(2, None), (3, 0.5), (4, 0.5)])
 def test_a_curve_of_two_points_has_no_area(
     runs: Sequence[Run], evaluations: int, area: float | None, capsys: pytest.CaptureFixture[str]
