@@ -299,8 +299,8 @@ class BusConfig:
     """Only with `control=holding`: number of actions, evenly spaced holding times from 0 to `max_hold_s`; 0:
     actions are real numbers of seconds, Box instead of Discrete."""
     control_every: int = 1
-    """Only with `control=holding`: every which stop of a trip has control, counted from its terminal, which
-    has it. At other stops buses leave at once."""
+    """Only with `control=holding`: n, if every n-th stop of a trip has control, its terminal included. At
+    other stops buses leave at once."""
     noncompliant_share: float = 0.0
     """Only with `control=holding`: probability that a driver does not comply, drawn for each bus and day.
     Such a bus is never held, under learners and rules alike, and its actions are not used."""

@@ -20,10 +20,12 @@ ENTRY = EnvEntry(
         "human": RuleEntry(
             "SUMO drives all vehicles as humans, with all checks including right of way (speed mode 31)",
             partial(Lazy("headway_envs.intersection.rules:Humans"), right_of_way=True),
+            internal=True,
         ),
         "human_mode1": RuleEntry(
             "SUMO drives all vehicles as humans that only keep a safe gap to the leader (speed mode 1)",
             partial(Lazy("headway_envs.intersection.rules:Humans"), right_of_way=False),
+            internal=True,
         ),
         "zero": RuleEntry(
             "commands an acceleration of 0 at every step",

@@ -19,18 +19,22 @@ ENTRY = EnvEntry(
         "human": RuleEntry(
             "SUMO drives all vehicles as humans, with all checks including right of way (speed mode 31)",
             partial(Lazy(f"{_RULES}:Humans"), right_of_way=True),
+            internal=True,
         ),
         "human_mode1": RuleEntry(
             "SUMO drives all vehicles as humans that only keep a safe gap to the leader (speed mode 1)",
             partial(Lazy(f"{_RULES}:Humans"), right_of_way=False),
+            internal=True,
         ),
         "signal": RuleEntry(
             "the network's traffic lights, with fixed times; right of way at junctions without one",
             Lazy(f"{_RULES}:FixedSignal"),
+            internal=True,
         ),
         "signal_best": RuleEntry(
             "signal, with the greens that Yan and Wu (2021, arXiv:2111.04686) found best for their demands",
             partial(Lazy(f"{_RULES}:FixedSignal"), best=True),
+            internal=True,
         ),
         "virtual_signal": RuleEntry(
             "signal_best that only automated vehicles observe (Ferreira et al. 2010)",
@@ -43,6 +47,7 @@ ENTRY = EnvEntry(
         "max_pressure": RuleEntry(
             "signal, with green every 12 s for the phase of maximum pressure (Varaiya 2013)",
             Lazy(f"{_RULES}:MaxPressure"),
+            internal=True,
         ),
         "full_throttle": RuleEntry(
             "all automated vehicles accelerate at every step",

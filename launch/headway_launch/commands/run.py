@@ -15,8 +15,8 @@ examples:
   headway run --config-dir lab experiment=mine
 
 KEY=VALUE sets a key of the experiment: see `headway list keys`, `headway list algos mappo`,
-`headway list envs bus`. GROUP=OPTION selects a file of configs/GROUP: env, algo, rollout, backend,
-store, energy, preset, experiment. Seeds: 7, 0,1,2, [0,1], 0..49 or range(0,50).
+`headway list envs bus`. GROUP=OPTION chooses an option of env, algo, preset, backend, energy or experiment:
+a file configs/GROUP/OPTION.yaml, or a registered name. Seeds: 7, 0,1,2, [0,1], 0..49 or range(0,50).
 Ctrl-C stops with a checkpoint (exit code 130); `headway resume` continues. Each `headway run` creates
 new runs; `headway sweep` trains only runs that the store lacks.
 """

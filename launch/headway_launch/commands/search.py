@@ -27,7 +27,8 @@ of the search (`headway list schema search`) or of all its runs. Candidates are 
 `search`, and are runs of the store; repeating the command continues an interrupted search. Candidates train
 on seeds from 9001 on, which no study reports.
 It ends with the best candidates, their cost, the expected best of n candidates as a table and as a picture,
-and a preset with the best candidate of each algorithm, with one per label where labels share an algorithm.
+and a preset with the best candidate of each algorithm; if entries of `algorithms` share one, each has a
+preset too.
 `headway list searches` lists the searches.
 """
 

@@ -67,8 +67,8 @@ class RuleEntry:
     make: Callable[[Any], Rule]
     """(prepared) -> rule, where `prepared` is the result of `EnvEntry.prepare`."""
     internal: bool = False
-    """Its actions are not those of the action space but others that the environment's `step` knows; no policy
-    can imitate it. The actions of other rules are checked in every step."""
+    """No policy can imitate it: the environment ignores the actions that it returns, or they are none of the
+    action space but others that `step` knows. The actions of other rules are checked in every step."""
 
 
 class Renderer(Protocol):

@@ -12,7 +12,7 @@ from headway.contracts import HeadwayError
 from headway.registry import algo_entries, env_entries, rule_entry
 from headway.rollout.episodes import evaluate_rule
 from headway.store.run_configuration import upgraded
-from headway_launch.experiments.compose import compose, resolve
+from headway_launch.experiments.compose import compose, require_rule, resolve
 from headway_launch.experiments.options import configs_folder, options, summary_of
 from headway_launch.experiments.parameters import cell_parameters, full_mapping
 from headway_launch.experiments.search import read_search
@@ -460,3 +460,24 @@ def test_a_password_in_the_tracking_uri_is_refused_and_not_shown(uri: str, witho
 
 def test_an_at_sign_in_a_query_is_no_password() -> None:
     compose(["env=trivial", "algo=ippo", "++store.tracking_uri='http://host:5000?mail=me@host'"])
+
+
+@pytest.mark.parametrize(
+    ("environment", "rule"),
+    [
+        ("merge", "idm_mobil"),
+        ("intersection", "human"),
+        ("intersection", "human_mode1"),
+        ("junctions", "human"),
+        ("junctions", "human_mode1"),
+        ("junctions", "signal"),
+        ("junctions", "signal_best"),
+        ("junctions", "max_pressure"),
+    ],
+)
+def test_training_does_not_start_from_rules_whose_actions_drive_no_vehicle(
+    environment: str, rule: str
+) -> None:
+    """Policies would imitate placeholders: the simulator drives under these rules."""
+    with pytest.raises(HeadwayError, match=f"'{rule}' is not a rule of {environment} to start from"):
+        require_rule(rule, environment, env_entries()[environment])
