@@ -23,7 +23,7 @@ class JunctionsConfig:
     network: str = FOUR_WAY
     """Path of a SUMO network (.net.xml) or of a SUMO configuration (.sumocfg) that names one, or `four_way`:
     two roads that cross, with one lane per direction, 100 m long, 13 m/s, without turns. Traffic lights in
-    the network are off; the rules `signal` and `max_pressure` switch them on."""
+    the network are off; the rules `signal`, `signal_best` and `max_pressure` switch them on."""
     demand: str | tuple[str, ...] = DEFAULT_DEMAND
     """Path of a SUMO route file (.rou.xml), or, with network `four_way`, vehicles per hour and direction on
     the horizontal and the vertical road. These enter evenly spaced; a vehicle without room to enter is

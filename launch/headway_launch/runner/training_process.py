@@ -129,7 +129,7 @@ class TrainingProcess(Training):
         if code == -signal.SIGKILL:
             return "its training process was killed by SIGKILL (out of memory?); lower backend.parallel"
         if code < 0:
-            return f"its training process was killed by {signal.Signals(-code).name}"
+            return f"its training process was killed by signal {-code}"
         return f"its training process ended with exit code {code} and without a final event"
 
 

@@ -15,12 +15,20 @@ from headway.training.loop import TrainingJob
 from headway_launch.runner.training_process import TrainingProcess, train_and_report
 
 
-def test_a_process_killed_before_it_has_read_its_work_is_at_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("code", "line"),
+    [
+        ("raise SystemExit(3)", "its training process ended with exit code 3 and without a final event"),
+        # A real-time signal, most of which have no name in Python.
+        ("import os; os.kill(os.getpid(), 40)", "its training process was killed by signal 40"),
+    ],
+)
+def test_a_process_killed_before_it_has_read_its_work_is_at_its_end(
+    monkeypatch: pytest.MonkeyPatch, code: str, line: str
+) -> None:
     """Its work, 1 MB here, is more than a pipe holds (64 KiB)."""
     monkeypatch.setattr("headway_launch.runner.training_process.get_context", get_context)  # a real start
-    monkeypatch.setattr(
-        "multiprocessing.spawn.get_command_line", lambda **_: [sys.executable, "-c", "raise SystemExit(3)"]
-    )
+    monkeypatch.setattr("multiprocessing.spawn.get_command_line", lambda **_: [sys.executable, "-c", code])
     received: list[object] = []
 
     def start() -> None:
@@ -31,7 +39,7 @@ def test_a_process_killed_before_it_has_read_its_work_is_at_its_end(monkeypatch:
     thread = Thread(target=start, daemon=True)
     thread.start()
     thread.join(20)
-    assert received == [None, "its training process ended with exit code 3 and without a final event"]
+    assert received == [None, line]
 
 
 class _UnreadableError(Exception):
