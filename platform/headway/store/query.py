@@ -14,8 +14,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Never
 
-import numpy as np
-
 from headway.config.schema import suggestion
 from headway.contracts import HeadwayError
 from headway.store.cell_names import CellName, cell_names
@@ -59,7 +57,7 @@ def select(
     status: Filter = None,
     cell: Filter = None,
     run_id: Filter = None,
-    seed: int | Sequence[int] | None = None,
+    seed: int | Iterable[int] | None = None,
     newest: bool = False,
     **others: Never,
 ) -> "RunSelection":
@@ -94,7 +92,7 @@ def select(
                 raise HeadwayError(f"no run in {folder} has {name} {unknown!r}; {suggestion(unknown, known)}")
             rows = [row for row in rows if getattr(row, name) in allowed]
     if seed is not None:
-        seeds = np.ravel(seed).tolist()  # also of numpy integers, as frames hold them
+        seeds = tuple(seed) if isinstance(seed, Iterable) else (seed,)
         rows = [row for row in rows if row.seed in seeds]
     return RunSelection(folder, tuple(newest_runs(rows) if newest else rows))
 

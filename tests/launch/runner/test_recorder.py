@@ -86,7 +86,7 @@ def test_energy_samples_have_the_wall_time_also_where_energy_is_unknown(runs: Se
         ({"cpu_seconds": 9000.0, "kwh": 90.0}, None, 90.0),
     ],
 )
-def test_energy_that_a_session_did_not_measure_is_not_left_out_of_a_total(
+def test_a_total_is_unknown_if_a_session_did_not_measure_its_energy(
     runs: Sequence[Run], earlier: dict[str, float], kwh: float | None, total: float | None
 ) -> None:
     """Unless that session is too short to matter. This session: 10 CPU seconds per seed."""

@@ -66,6 +66,7 @@ def test_filters_take_one_value_or_several(root: Path) -> None:
     assert [row.algorithm for row in select(root, study="bus", seed=0).rows] == ["ippo", "mappo", "mappo"]
     of_a_frame = select(root, algorithm="ippo").runs()["seed"].iloc[0]  # a numpy integer
     assert {row.seed for row in select(root, seed=of_a_frame).rows} == {0}
+    assert select(root, seed={0}).rows == select(root, seed=0).rows
     assert len(select(root, algorithm=("ippo", "mappo"), status="FINISHED").rows) == 4
     assert not select(root, status="RUNNING").rows
     last = select(root).rows[-1]
