@@ -2,6 +2,7 @@
 
     python docs/study_tables.py --store runs                        the tables of all pages
     python docs/study_tables.py --store runs README.md
+    python docs/study_tables.py --store runs --only bus_city        those whose command has bus_city
     python docs/study_tables.py --store runs --archives archives    STUDY.zip of every study of these tables
 
 A table stands between `<!-- COMMAND -->` and `<!-- end -->`. What COMMAND prints replaces what is between. On
@@ -97,6 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--store", type=Path, default=Path("runs"), help="folder of the store (default: runs)"
     )
+    parser.add_argument("--only", default="", metavar="TEXT", help="only tables whose command has TEXT")
     parser.add_argument(
         "--archives",
         type=Path,
@@ -120,6 +122,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         def output(words: list[str]) -> str | None:
             nonlocal failed
+            if asked.only not in shlex.join(words):
+                return None
             if words[:2] == ["headway", "search"]:
                 table = printed(words, Path(folder))
                 table = table and search_table(table)
