@@ -119,7 +119,8 @@ def test_commands_are_run_and_a_failing_one_keeps_its_table(tmp_path: Path) -> N
     assert "January 2026" in page.read_text()
     assert "| old |" in page.read_text()
     page.write_text(
-        "<!-- headway compare bus -->\n| old |\n<!-- end -->\n\n<!-- python -m calendar 2026 1 -->\n<!-- end -->\n"
+        "<!-- headway compare bus -->\n| old |\n<!-- end -->\n\n"
+        "<!-- python -m calendar 2026 1 -->\n<!-- end -->\n"
     )
     assert subprocess.run([*command, "--only", "calendar 2026"], check=False).returncode == 0
     assert "January 2026" in page.read_text()
