@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the study, the target and the folder."""
     parser.add_argument("study", metavar="STUDY", help="name of the study, as in `headway runs`")
     parser.add_argument("--to", choices=_WRITERS, required=True, help="what to write")
-    parser.add_argument("--output", metavar="DIR", help="new folder to write (default: TO-STUDY)")
+    parser.add_argument("-o", "--output", metavar="DIR", help="new folder to write (default: TO-STUDY)")
     add_where_argument(parser)
     add_store_argument(parser)
 

@@ -31,7 +31,7 @@ whose seeds have points at different steps are interpolated linearly.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the study, the metric and the file."""
     parser.add_argument("study", metavar="STUDY", help="name of the study, as in `headway runs`")
-    parser.add_argument("--output", default=None, help="picture to write (default: STUDY.png)")
+    parser.add_argument("-o", "--output", default=None, help="picture to write (default: STUDY.png)")
     parser.add_argument(
         "--metric",
         default="evaluation_greedy/return",

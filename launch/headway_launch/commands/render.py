@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, help="root of the episode seeds (default: evaluation.seed)")
     parser.add_argument("--step", type=int, help="step that a .png shows (default: the last)")
-    parser.add_argument("--output", help="file to write (default: NAME.gif)")
+    parser.add_argument("-o", "--output", help="file to write (default: NAME.gif)")
     parser.add_argument(
         "--fps",
         type=float,

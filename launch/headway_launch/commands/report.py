@@ -45,7 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--table", metavar="NAME", help="print only this table, named as its file in tables/; not with html"
     )
     parser.add_argument(
-        "--output", metavar="DIR", help="folder to write (default: report-STUDY, or report-STUDY-STUDY...)"
+        "-o",
+        "--output",
+        metavar="DIR",
+        help="folder to write (default: report-STUDY, or report-STUDY-STUDY...)",
     )
     parser.add_argument(
         "--metric",

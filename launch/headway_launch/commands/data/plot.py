@@ -22,7 +22,7 @@ hour: buses in service, boardings and headways.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the scenario and the file."""
     add_scenario_arguments(parser, "day type (default: weekday, if it has trips)")
-    parser.add_argument("--output", metavar="PNG", help="picture to write (default: NAME.png)")
+    parser.add_argument("-o", "--output", metavar="PNG", help="picture to write (default: NAME.png)")
 
 
 def execute(arguments: argparse.Namespace) -> int:
