@@ -53,7 +53,7 @@ class CounterfactualConfig(CriticConfig):
     """Q(s, u), with one value for each action that the agent could take."""
 
     gae_lambda: float = CriticConfig.gae_lambda
-    """Lambda of the TD(lambda) targets and of the advantages."""
+    """Lambda of the TD(lambda) targets; the counterfactual advantages have none."""
     target_every: int = 4
     """Iterations between updates of the critic's target network; 1: after every iteration."""
 
