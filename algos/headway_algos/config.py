@@ -121,6 +121,15 @@ class AlgoConfig(LearnerConfig):
         require_value(self, "piece_samples", self.piece_samples >= 1, "must be at least 1")
 
 
+def require_for_critic(config: AlgoConfig, *keys: str) -> None:
+    """Raise InvalidValueError if one of `keys`, which only the training of a critic reads, is set without."""
+    for key in keys:
+        same = getattr(config, key) == getattr(type(config), key)
+        require_key(
+            config.critic != "none" or same, key, "applies to a critic: leave it out with critic=none"
+        )
+
+
 @dataclass(frozen=True)
 class SequentialConfig(AlgoConfig):
     """Policies are updated one after another."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from headway.contracts.checks import require_key, require_value
-from headway_algos.config import AlgoConfig
+from headway_algos.config import AlgoConfig, require_for_critic
 from headway_algos.optim.config import AdamConfig
 
 
@@ -32,6 +32,10 @@ class SingleStepConfig(EntropyConfig):
     """Passes of the critic over an iteration's batch; the actor takes one step on the whole batch."""
     minibatches: int = 1
     """Minibatches per pass of the critic; 1: the whole batch."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_for_critic(self, "epochs", "minibatches")
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from headway.contracts.checks import require, require_value
-from headway_algos.config import AlgoConfig
+from headway_algos.config import AlgoConfig, require_for_critic
 from headway_algos.on_policy.updates.config import EntropyConfig, SingleStepConfig
 from headway_algos.optim.config import ETA_MAX, KroneckerConfig
 
@@ -37,6 +37,7 @@ class TRPOConfig(EntropyConfig):
         require_value(self, "cg_damping", self.cg_damping > 0, "must be above 0")
         require_value(self, "line_search_steps", self.line_search_steps >= 0, "must be at least 0")
         require_value(self, "fisher_share", 0 < self.fisher_share <= 1, "must lie in (0, 1]")
+        require_for_critic(self, "lr")
         require(
             getattr(self, "critic_lr", None) is None or self.lr == type(self).lr,
             "lr or critic_lr, not both: with trpo either is the critic's learning rate",
@@ -56,4 +57,5 @@ class KFACConfig(SingleStepConfig, KroneckerConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_for_critic(self, "critic_lr")
         require_value(self, "kl_bound", self.kl_bound > 0, "must be above 0")
