@@ -1,7 +1,8 @@
 """`headway compare`: compare the cells of studies and the classical rules on the same episodes."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from headway.config.schema import suggestion
@@ -23,6 +24,7 @@ from headway_launch.report.comparison_table import COMPARISON_FORMATS
 from headway_launch.runner.comparison import Comparison
 
 if TYPE_CHECKING:
+    from headway.events import Row
     from headway_launch.studies.compared_learners import ComparedLearners
 
 EXAMPLES = """\
@@ -145,6 +147,7 @@ def execute(arguments: argparse.Namespace) -> int:
         for label, members in cells.items():
             iterations = [policy.iteration for policy in policies[label]]
             keep_episodes(members, iterations, played[label], rules, root, arguments.mode)
+    _require_values(metrics, {f"rule {rule}": [rows] for rule, rows in rules.items()} | played)
     mode = f", {arguments.mode}" if cells else ""
     comparison = Comparison.of(
         f"{without_folders(subject.name)}: {episodes} episodes of {found.spec.name}{mode}",
@@ -211,6 +214,18 @@ def _require_for_rules(words: Sequence[str]) -> None:
             )
     if not {"env", "experiment"} & set(keys):
         raise HeadwayError("no environment given; add env=ENV or experiment=EXPERIMENT")
+
+
+def _require_values(metrics: Sequence[str], played: Mapping[str, Sequence[Sequence["Row"]]]) -> None:
+    """Raise HeadwayError if a metric has no value in an episode of a controller, seeds x episodes of each."""
+    for metric in metrics:
+        for name, by_seed in played.items():
+            values = [value for rows in by_seed for value in metric_values(rows, metric)]
+            if missing := sum(not isfinite(value) for value in values):
+                raise HeadwayError(
+                    f"--metrics: {metric} has no value in {missing} of {len(values)} episodes of {name}; "
+                    "choose a metric that every episode has"
+                )
 
 
 def _metrics(names: str, known: Sequence[str]) -> tuple[str, ...]:

@@ -12,10 +12,11 @@ import pytest
 from command_lines import output, refused, rows_of
 from kept_policies import keep_run_on
 
+from headway.adapters.pettingzoo import episode_seed
 from headway.contracts.errors import HeadwayError
 from headway.registry import env_entry
-from headway.rollout.episodes import evaluate_rule
-from headway_launch.commands.arguments import named_studies
+from headway.rollout.episodes import evaluate_rule, evaluation_seeds
+from headway_launch.commands.arguments import OTHER_EVALUATION_SEED, named_studies
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
 GAME = ("env=tracking", "env.args.steps=7")
@@ -181,6 +182,58 @@ def test_a_damaged_run_is_left_out_unless_it_is_named(name: str, tmp_path: Path)
     assert len(rows_of("runs")) == 3
     assert f"{name} " in refused("evaluate", damaged.name)
     output("evaluate", whole.name, "--episodes", "1")
+
+
+WAIT_OF_ODD_EPISODES = """
+from gymnasium.spaces import Box, Discrete
+from numpy import array, float32
+from pettingzoo import ParallelEnv
+
+from headway.api import RuleEntry
+
+
+class Stop(ParallelEnv):
+    metadata = {"name": "stop"}
+    possible_agents = ["bus"]
+
+    def observation_space(self, agent):
+        return Box(0, 1, (1,), float32)
+
+    def action_space(self, agent):
+        return Discrete(2)
+
+    def reset(self, seed=None, options=None):
+        self.agents, self.wait = ["bus"], {"wait": 2.0} if seed % 2 else {}
+        return {"bus": array([0], float32)}, {"bus": {}}
+
+    def step(self, actions):
+        self.agents, info = [], {"episode_metrics": {"stops": 1, **self.wait}}
+        paid = float(actions["bus"])
+        return {"bus": array([0], float32)}, {"bus": paid}, {"bus": True}, {"bus": False}, {"bus": info}
+
+
+class Go:
+    def act(self, env, observed):
+        return array([[1]] * len(observed.alive))
+
+
+def parallel_env():
+    return Stop()
+
+
+METRICS = {"stops": "number of stops", "wait": "mean wait, s"}
+RULES = {"go": RuleEntry("goes", lambda prepared: Go())}
+"""
+
+
+def test_a_metric_that_some_episodes_lack_is_not_compared(tmp_path: Path) -> None:
+    (tmp_path / "stop.py").write_text(WAIT_OF_ODD_EPISODES)
+    asked = ("compare", "env=./stop.py", "--episodes", "20", "--metrics")
+    seeds = [episode_seed(int(seed)) for seed in evaluation_seeds(OTHER_EVALUATION_SEED, 0, 20)]
+    even = sum(seed % 2 == 0 for seed in seeds)
+    assert 0 < even < 20
+    assert f"--metrics: wait has no value in {even} of 20 episodes of rule " in refused(*asked, "return,wait")
+    assert rows_of(*asked, "stops")[1][:3] == ["rule go", "", "1"]
 
 
 def test_a_changed_environment_is_noted(tmp_path: Path) -> None:
