@@ -633,6 +633,26 @@ def test_the_absolute_metric_is_of_the_best_policies_on_new_episodes(keep_run: K
     assert not any(section.anchor == "absolute_metric" for section in made(root).sections)
 
 
+def test_the_absolute_metric_is_of_the_episodes_that_have_it(keep_run: Keep, root: Path) -> None:
+    folders = [keep_run((*TRACKING, "algo=ippo"), seed, 5.0 + seed, rules=RULES) for seed in range(2)]
+    nan = math.nan
+    values = [[1.0, nan, 2.0, 6.0, 9.0], [4.0, 8.0, 4.0, 4.0, 9.0]]
+    kept = {
+        folder.name: {"iteration": 2, "episodes": [{"return": value} for value in own]}
+        for folder, own in zip(folders, values, strict=True)
+    }
+    rules = {"optimal": [{"return": value} for value in (3.0, 3.0, 3.0, 4.0, nan)]}
+    path = best_file(root, "study", RunRecord.read(folders[0]).cell)
+    write_json(path, {"seed": 7, "mode": "greedy", "rules": rules, "runs": kept})
+    report = made(root)
+    ippo = table(report, "absolute_metric").set_index("controller").loc["ippo"]
+    assert ippo["mean"] == pytest.approx((1 + 2 + 6 + 9 + 4 + 4 + 4 + 9) / 8)
+    expected = paired_difference_over_seeds([[1.0, 2.0, 6.0], [4.0, 4.0, 4.0]], [[3.0, 3.0, 4.0]] * 2)
+    assert ippo["minus_best_rule"] == pytest.approx(expected.estimate)
+    assert ippo["minus_best_rule_low"] == pytest.approx(expected.low)
+    assert "Evaluated: 4 episodes per seed." in text_of(report)
+
+
 def test_the_absolute_metric_of_a_study_without_rules_is_beside_the_best_stored_rule(
     keep_run: Keep, root: Path
 ) -> None:

@@ -37,7 +37,12 @@ def absolute_metric_section(data: StudyData) -> Section | None:
         numbers: set[int] = set()
         for controller, (runs, of_rule) in kept.items():
             members = on_task[controller]
-            learned = [episodes[data.column].tolist() for episodes in runs.values()]
+            # Episodes x runs, without the episodes in which a run lacks the metric.
+            played = pd.DataFrame({run: each[data.column] for run, each in runs.items()}).dropna()
+            if played.empty:
+                notes.append(f"{controller}{data.where(task)}: no episode has {data.column}")
+                continue
+            learned = played.to_numpy().T.tolist()
             if len(learned) < len(members):
                 seeds = counted(len(members), "seed")
                 notes.append(f"{controller}{data.where(task)}: {len(learned)} of its {seeds}")
@@ -48,7 +53,11 @@ def absolute_metric_section(data: StudyData) -> Section | None:
             found = {str(name): value for name, value in row.items()}
             against = DifferenceFromBest(None, "no rule was run")
             if best in of_rule:
-                against = DifferenceFromBest(difference(learned, of_rule[best][data.column].tolist()))
+                both = played.assign(rule=of_rule[best][data.column]).dropna()
+                against = DifferenceFromBest(None, "fewer than two common episodes")
+                if len(both) > 1:
+                    *of_seeds, of_best = both.to_numpy().T.tolist()
+                    against = DifferenceFromBest(difference(of_seeds, of_best))
             numbers |= set(map(len, learned))
             rows.append(
                 [
