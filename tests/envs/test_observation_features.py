@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from headway.contracts import BatchedEnv
+from headway_envs.bus.config import BusConfig
+from headway_envs.bus.parallel import BusParallelEnv
 from headway_envs.registry import ENTRIES
 
 Quantities = Mapping[str, float]
@@ -134,6 +137,14 @@ def test_states_of_buses() -> None:
             assert_holds(env, observed.observations[copy, agent], expected)
         _, observed = env.step(draw.integers(0, 2, observed.alive.shape))
     assert {STANDING, TERMINAL} <= phases
+
+
+def test_the_space_of_a_bus_holds_the_numbers_of_all_patterns_of_a_line() -> None:
+    prepared = ENTRIES["bus"].prepare(BusConfig(end_hour=7))
+    for patterns, high in ((2, 5.0), (6, 5.0), (9, 8.0)):
+        network = prepared.network._replace(line_patterns=np.array([0, patterns]))
+        env = BusParallelEnv(replace(prepared, network=network))
+        assert env.observation_space(env.possible_agents[0]).high.tolist() == [high] * 29
 
 
 @pytest.mark.parametrize("kind", ["scaled", "raw"])

@@ -1,13 +1,15 @@
 """PettingZoo ParallelEnv of the bus environment: a batch of one copy."""
 
+import numpy as np
+
 from headway_envs.bus.config import BusConfig
 from headway_envs.bus.env import BusBatchedEnv
 from headway_envs.bus.prepared import Prepared
 from headway_envs.parallel_env import ParallelEnvBase
 
 _BOUND = 5.0
-"""Bound on the absolute value of each component of the observation `control`. Those of `paper` and
-`published` lie in [0, 1]."""
+"""Bound on the absolute value of each component of the observation `control`, except the number of the
+pattern, which is below that of the line's patterns. Those of `paper` and `published` lie in [0, 1]."""
 
 
 class BusParallelEnv(ParallelEnvBase):
@@ -25,10 +27,11 @@ class BusParallelEnv(ParallelEnvBase):
             from headway_envs.bus.prepare import prepare
 
             prepared = prepare(config or BusConfig())
+        patterns = int(np.diff(prepared.network.line_patterns).max())
         wide = prepared.config.observation in ("control", "network")
         super().__init__(
             lambda copies: BusBatchedEnv(prepared, copies),
             name="headway_bus_v0",
-            bound=_BOUND if wide else 1.0,
+            bound=max(_BOUND, patterns - 1.0) if wide else 1.0,
             low=None if wide else 0.0,
         )
