@@ -5,6 +5,7 @@ Critics, updates and orders add their own; `headway_algos.records` combines them
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import ClassVar, Literal
 
 from headway.contracts.checks import require_finite, require_key, require_value
@@ -41,6 +42,8 @@ class ModelConfig:
         require_value(self, "gru_size", self.gru_size >= 1, "must be at least 1")
         require_value(self, "sequence_length", self.sequence_length >= 1, "must be at least 1")
         require_value(self, "actor_gain", self.actor_gain > 0, "must be above 0")
+        logits = self.initial_logits
+        require_key(all(isfinite(logit) for logit in logits), "initial_logits", "must hold finite numbers")
         # Beyond, exp overflows in float32.
         require_value(self, "log_std", -20 <= self.log_std <= 5, "must lie in [-20, 5]")
         for key in ("gru_size", "sequence_length"):

@@ -106,6 +106,13 @@ def test_values_without_effect_are_refused(name: str, settings: dict[str, Any], 
         build(ENTRIES[name].record_for(settings), settings, "algo", name)
 
 
+def test_an_infinite_initial_logit_is_refused() -> None:
+    """Its policy would have no probabilities: infinity minus infinity is NaN."""
+    settings = {"model": {"initial_logits": [float("inf"), 0.0]}}
+    with pytest.raises(HeadwayError, match=r"algo\.model\.initial_logits must hold finite numbers"):
+        build(ENTRIES["ippo"].record_for(settings), settings, "algo", "ippo")
+
+
 def test_an_algorithm_has_its_components_keys_and_no_others() -> None:
     def own(record: type[AlgoConfig]) -> set[str]:
         return {each.name for each in fields(record)}
