@@ -98,8 +98,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--store", type=Path, default=Path("runs"), help="folder of the store (default: runs)"
     )
-    parser.add_argument("--only", default="", metavar="TEXT", help="only tables whose command has TEXT")
-    parser.add_argument(
+    some = parser.add_mutually_exclusive_group()
+    some.add_argument("--only", default="", metavar="TEXT", help="rewrite only tables whose command has TEXT")
+    some.add_argument(
         "--archives",
         type=Path,
         metavar="FOLDER",
@@ -109,6 +110,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not asked.store.is_dir():
         parser.error(f"there is no store {asked.store}; give one that has the studies' runs: --store FOLDER")
     pages = {page: page.read_text(encoding="utf-8") for page in asked.pages or sorted(PAGES.glob("*.md"))}
+    found = [
+        shlex.join(shlex.split(command)) for text in pages.values() for command, _ in BLOCK.findall(text)
+    ]
+    if asked.only and not any(asked.only in command for command in found):
+        parser.error(f"--only: no command above a table of these pages has {asked.only!r}")
     failed = 0
     with tempfile.TemporaryDirectory() as folder:
         # The name of the store is part of what is printed: a page shows the default one.

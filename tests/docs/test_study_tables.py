@@ -124,3 +124,6 @@ def test_commands_are_run_and_a_failing_one_keeps_its_table(tmp_path: Path) -> N
     )
     assert subprocess.run([*command, "--only", "calendar 2026"], check=False).returncode == 0
     assert "January 2026" in page.read_text()
+    done = subprocess.run([*command, "--only", "bus_city"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.endswith("--only: no command above a table of these pages has 'bus_city'\n")
