@@ -77,6 +77,11 @@ def test_every_help_shows_examples(command: str) -> None:
     assert "examples:" in shown
 
 
+@pytest.mark.parametrize("command", ["archive", "convert", "data plot", "export", "plot", "render", "report"])
+def test_every_command_that_writes_a_file_takes_o(command: str) -> None:
+    assert re.search(r"^  -o [A-Z]+, --output ", output(*command.split(), "--help").out, re.MULTILINE)
+
+
 _HELP = """
 import sys
 before = set(sys.modules)
