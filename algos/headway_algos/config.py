@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import ClassVar, Literal
 
-from headway.contracts.checks import require_finite, require_key, require_value
+from headway.contracts.checks import require_default, require_finite, require_key, require_value
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,8 @@ class ModelConfig:
         # Beyond, exp overflows in float32.
         require_value(self, "log_std", -20 <= self.log_std <= 5, "must lie in [-20, 5]")
         for key in ("gru_size", "sequence_length"):
-            same = getattr(self, key) == getattr(type(self), key)
-            require_key(
-                self.core == "gru" or same, key, "applies only with core=gru: set it too, or leave this out"
-            )
+            problem = "applies only with core=gru: set it too, or leave this out"
+            require_default(self, key, self.core == "gru", problem)
 
 
 @dataclass(frozen=True)
@@ -125,12 +123,10 @@ class AlgoConfig(LearnerConfig):
 
 
 def require_for_critic(config: AlgoConfig, *keys: str) -> None:
-    """Raise InvalidValueError if one of `keys`, which only the training of a critic reads, is set without."""
+    """Raise InvalidValueError if one of `keys`, which only a critic's training reads, is set without one."""
     for key in keys:
-        same = getattr(config, key) == getattr(type(config), key)
-        require_key(
-            config.critic != "none" or same, key, "applies to a critic: leave it out with critic=none"
-        )
+        problem = "applies to a critic: leave it out with critic=none"
+        require_default(config, key, config.critic != "none", problem)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from headway.contracts.checks import require, require_at_least, require_key, require_value
+from headway.contracts.checks import require, require_at_least, require_default, require_key, require_value
 
 SCENARIOS = ("line", "corridor", "district", "city")
 """Names of the built-in synthetic scenarios; any other `scenario` is the path of a scenario folder."""
@@ -248,9 +248,8 @@ class DisruptionConfig:
             ("late_s=0", "late_s=1200", self.late_s > 0.0, ("late_bus",)),
         ):
             for key in keys:
-                same = getattr(self, key) == getattr(type(self), key)
                 fix = f"means nothing with {off}; leave it out, or switch it on, such as by {example}"
-                require_key(is_on or same, key, fix)
+                require_default(self, key, is_on, fix)
 
     @property
     def hours(self) -> dict[str, int]:
@@ -381,8 +380,8 @@ class BusConfig:
         )
         require_value(self, "control_every", self.control_every >= 1, "must be at least 1")
         for name in ("hold_s",) if self.holds else _OF_HOLDING:
-            same = getattr(self, name) == getattr(type(self), name)
-            require_key(same, name, f"has no effect with control={self.control}; leave it out")
+            problem = f"has no effect with control={self.control}; leave it out"
+            require_default(self, name, unless=False, problem=problem)
         require_value(
             self,
             "boarding_limit",
@@ -390,8 +389,7 @@ class BusConfig:
             "must be above 0 and at most 1 (for 0 set skipping)",
         )
         for name in ("skipping", "boarding_limit"):
-            same = getattr(self, name) == getattr(type(self), name)
-            require_key(same or self.hold_levels > 0, name, "needs Discrete actions, not hold_levels=0")
+            require_default(self, name, self.hold_levels > 0, "needs Discrete actions, not hold_levels=0")
         hours = f"{FIRST_HOUR} <= start_hour < end_hour <= {LAST_HOUR} must hold"
         require(
             FIRST_HOUR <= self.start_hour < self.end_hour <= LAST_HOUR,

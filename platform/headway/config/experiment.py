@@ -7,7 +7,13 @@ from dataclasses import dataclass, field
 from itertools import accumulate, pairwise
 from typing import Any, Literal
 
-from headway.contracts.checks import require_at_least, require_finite, require_key, require_value
+from headway.contracts.checks import (
+    require_at_least,
+    require_default,
+    require_finite,
+    require_key,
+    require_value,
+)
 from headway.contracts.errors import InvalidValueError
 
 NO_PRESET = "none"
@@ -191,18 +197,12 @@ class StartConfig:
             self.rule is None or self.run is None, "run", "excludes start.rule: leave one of them out"
         )
         require_value(self, "env_steps", self.env_steps >= 1, "must be at least 1")
-        require_key(
-            self.rule is not None or self.env_steps == type(self).env_steps,
-            "env_steps",
-            "applies to a rule: set start.rule too, or leave this out",
-        )
+        problem = "applies to a rule: set start.rule too, or leave this out"
+        require_default(self, "env_steps", self.rule is not None, problem)
         require_at_least(0, kl_coeff=self.kl_coeff, critic_iterations=self.critic_iterations)
         for key in ("kl_coeff", "critic_iterations"):
-            require_key(
-                self.rule is not None or self.run is not None or getattr(self, key) == 0,
-                key,
-                "applies after a start: set start.rule or start.run too, or leave this out",
-            )
+            problem = "applies after a start: set start.rule or start.run too, or leave this out"
+            require_default(self, key, self.rule is not None or self.run is not None, problem)
 
     @property
     def anchors(self) -> tuple[str, ...]:

@@ -40,6 +40,14 @@ def require_value(record: object, key: str, holds: bool, rule: str) -> None:
         raise InvalidValueError(key, f"{rule}, not {shown(attrgetter(key)(record))}")
 
 
+def require_default(record: object, key: str, unless: bool, problem: str) -> None:
+    """Raise InvalidValueError with `key` and `problem` if the record's value is not the default of its class.
+
+    `unless`: the key has an effect, so that it may have any value.
+    """
+    require_key(unless or getattr(record, key) == getattr(type(record), key), key, problem)
+
+
 def require_finite(record: object) -> None:
     """Raise InvalidValueError for the first of a record's numbers that is infinite or NaN."""
     for key, value in vars(record).items():

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from headway.contracts.checks import require_key, require_value
+from headway.contracts.checks import require_default, require_value
 from headway_algos.config import AlgoConfig, require_for_critic
 from headway_algos.optim.config import AdamConfig
 
@@ -74,8 +74,5 @@ class PPOConfig(MinibatchConfig):
         require_value(self, "clip", self.clip > 0, "must be above 0")
         require_value(self, "kl_coeff", self.kl_coeff >= 0, "must be at least 0")
         require_value(self, "kl_target", self.kl_target > 0, "must be above 0")
-        require_key(
-            self.kl_coeff > 0 or self.kl_target == type(self).kl_target,
-            "kl_target",
-            "applies to the penalty: set kl_coeff too, or leave kl_target out",
-        )
+        problem = "applies to the penalty: set kl_coeff too, or leave kl_target out"
+        require_default(self, "kl_target", self.kl_coeff > 0, problem)
