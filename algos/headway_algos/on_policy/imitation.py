@@ -19,7 +19,7 @@ from headway_algos.on_policy.updates.losses import A2CLoss
 
 LR = 3e-3
 """Adam's learning rate at the start of the imitation."""
-EPOCHS, MINIBATCHES = 40, 400
+EPOCHS, MINIBATCHES = 16, 1000
 """Passes over the decisions of all iterations, and minibatches per pass. Many small steps are needed, because
 decisions that matter can be rare, such as a bus's visits to the service centre."""
 SEQUENCE_EPOCHS, SEQUENCE_MINIBATCHES = 16, 8

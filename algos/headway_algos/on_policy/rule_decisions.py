@@ -10,9 +10,10 @@ from torch import Tensor
 from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.networks.normalisation import RunningStatistics
 
-CAPACITY, LEAST = 200_000, 5_000
-"""Maximum number of decisions kept per seed, divided equally among its policies, and the minimum per
-policy."""
+CAPACITY, LEAST = 30_000_000, 5_000
+"""Maximum size of the observations kept per seed (120 MB), divided equally among its policies, and the
+minimum number of decisions per policy. As many as possible are kept, since rare decisions limit how well
+policies imitate: a bus goes to service about once per day."""
 
 
 class RuleDecisions:
@@ -22,9 +23,9 @@ class RuleDecisions:
     random key, and the decisions with the smallest keys are kept.
     """
 
-    def __init__(self, replicas: int, policies: int) -> None:
+    def __init__(self, replicas: int, policies: int, observation_size: int) -> None:
         """`replicas`: number R of seeds; `policies`: number K of policies per seed."""
-        self.capacity = max(CAPACITY // policies, LEAST)
+        self.capacity = max(CAPACITY // (policies * observation_size), LEAST)
         self.kept: list[dict[str, Tensor]] = [{} for _ in range(replicas * policies)]
         """The sample, which is all state: columns by name for each policy; empty before any decision."""
 

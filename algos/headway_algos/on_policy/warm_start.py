@@ -35,7 +35,7 @@ class WarmStartLearner(OnPolicyLearner):
     @cached_property
     def rule_decisions(self) -> RuleDecisions:
         """The rule's decisions that are kept until the policies imitate them."""
-        return RuleDecisions(len(self.seeds), self.grouping.num_policies)
+        return RuleDecisions(len(self.seeds), self.grouping.num_policies, self.spec.observation_size)
 
     def anchor(self, kl_coeff: float, critic_only: bool) -> None:
         """Implement `headway.contracts.AnchoredLearner.anchor`."""

@@ -14,16 +14,16 @@ from headway_algos.on_policy.rule_decisions import RuleDecisions
 @pytest.fixture(autouse=True)
 def _capacity() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rule_decisions, "CAPACITY", 200)
+        patch.setattr(rule_decisions, "CAPACITY", 600)
         patch.setattr(rule_decisions, "LEAST", 1)
         yield
 
 
 def _batch(first: int, selected: np.ndarray) -> PolicyBatch:
-    """Rows whose observation, action and number are one; those of policy 1 are 1,000 higher."""
+    """Rows whose observation, three times, action and number are one; those of policy 1 are 1,000 higher."""
     numbers = first + torch.arange(selected.shape[1]).float() + 1_000 * torch.arange(2)[:, None]
     masks = torch.ones(*numbers.shape, 3, dtype=torch.bool)
-    return PolicyBatch(numbers[..., None], masks, numbers.long(), torch.zeros_like(numbers), selected)
+    return PolicyBatch(numbers[..., None].repeat(1, 1, 3), masks, numbers.long(), torch.zeros_like(numbers), selected)
 
 
 def _numbers(decisions: RuleDecisions, policy: int) -> list[int]:
@@ -34,7 +34,7 @@ def _numbers(decisions: RuleDecisions, policy: int) -> list[int]:
 
 
 def test_all_are_kept_up_to_the_capacity_and_only_selected_ones() -> None:
-    decisions, selected = RuleDecisions(1, 2), np.ones((2, 40), np.bool_)
+    decisions, selected = RuleDecisions(1, 2, 3), np.ones((2, 40), np.bool_)
     selected[1, ::2] = False
     for first in (0, 40):
         decisions.include(_batch(first, selected), [np.random.default_rng(p) for p in range(2)])
@@ -47,7 +47,7 @@ def test_each_is_kept_with_the_same_probability() -> None:
     counts = np.zeros(4)
     repeats = 200
     for repeat in range(repeats):
-        decisions = RuleDecisions(1, 2)
+        decisions = RuleDecisions(1, 2, 3)
         generators = [np.random.default_rng([repeat, p]) for p in range(2)]
         for first in range(0, 400, 100):
             decisions.include(_batch(first, np.ones((2, 100), np.bool_)), generators)
