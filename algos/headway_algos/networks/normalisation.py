@@ -67,6 +67,23 @@ class RunningStatistics(nn.Module):
         self.variance = torch.where(total > 1, new_squares / total.clamp(min=1), self.variance)
         self.count, self.rows = total, self.rows + count
 
+    def pool(self, groups: NDArray[np.int64]) -> None:
+        """Give each network the statistics of all rows of the networks in its group; groups (P,)."""
+        for group in np.unique(groups):
+            members = torch.from_numpy(np.flatnonzero(groups == group)).to(self.mean.device)
+            if len(members) > 1:
+                self._pool(members)
+
+    def _pool(self, members: Tensor) -> None:
+        counts, means = self.count[members], self.mean[members]
+        total = counts.sum(0)
+        mean = (means * counts).sum(0) / total.clamp(min=1)
+        squares = torch.where(counts > 1, self.variance[members] * counts, 0) + (means - mean) ** 2 * counts
+        self.mean[members] = mean
+        if total > 1:
+            self.variance[members] = squares.sum(0) / total
+        self.count[members], self.rows[members] = total, self.rows[members].sum(0)
+
     def _load_from_state_dict(self, state: dict[str, Any], prefix: str, *more: object) -> None:
         """Use `count` for `rows` in states stored without `rows`."""
         if self.share > 0:

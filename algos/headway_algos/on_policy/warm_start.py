@@ -92,10 +92,14 @@ class WarmStartLearner(OnPolicyLearner):
         self.rule_decisions.include(replace(rows, observations=observed), generators)
         if iteration < iterations:
             return {}
-        moments = self.actor.moments if self.config.normalise_observations else None
+        alike, moments = self._alike(), None
+        if self.config.normalise_observations:
+            moments = self.actor.moments
+            # Policies that learn together must see an observation alike.
+            moments.pool(alike.policies(len(self.seeds), len(self.seeds)).ravel())
         sample = self.rule_decisions.rows(moments, self.device)
         del self.rule_decisions  # the next access would begin a new, empty sample
-        return imitate(self.actor, sample, *parts, self._alike())
+        return imitate(self.actor, sample, *parts, alike)
 
     def _alike(self) -> Grouping:
         """Return the policies of a seed grouped by whether their agents are interchangeable."""

@@ -51,6 +51,22 @@ def test_rows_weigh_less_with_every_batch(memory: float, batches: float, share: 
             np.testing.assert_allclose(moments.variance[p, 0], variance, rtol=1e-10)
 
 
+def test_pooled_statistics_are_those_of_all_rows_of_a_group() -> None:
+    """Network 2 has seen no rows; network 3 is alone in its group."""
+    moments, rows = RunningStatistics(4, 2), [np.empty((0, 2)) for _ in range(4)]
+    for batch, selected in _batches(4):
+        selected[2] = False
+        moments.include(batch, selected)
+        for p in range(4):
+            rows[p] = np.concatenate([rows[p], batch[p].numpy()[selected[p]]])
+    moments.pool(np.array([7, 7, 7, 1]))
+    for members, p in (((0, 1, 2), 0), ((0, 1, 2), 2), ((3,), 3)):
+        seen = np.concatenate([rows[member] for member in members])
+        assert float(moments.count[p]) == len(seen)
+        np.testing.assert_allclose(moments.mean[p, 0], seen.mean(axis=0), rtol=1e-12)
+        np.testing.assert_allclose(moments.variance[p, 0], seen.var(axis=0), rtol=1e-10)
+
+
 def test_statistics_follow_shrinking_values() -> None:
     """After 30 batches a tenth as large as the first, within 10%."""
     moments = RunningStatistics(1, 1, RETURN_MEMORY, RETURN_BATCHES, RETURN_SHARE)

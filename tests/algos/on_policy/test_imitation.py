@@ -158,6 +158,23 @@ def test_policies_become_copies_within_their_group_and_seed() -> None:
     assert (first[0] != second[0]).any()
 
 
+def test_policies_of_a_group_act_alike_although_each_agent_sees_one_part() -> None:
+    """Agent b's observations are far from agent a's."""
+    spec = replace(SPEC, groups=("x", "x"))
+    learner = _learner("happo", spec, policies="independent")
+    made = fabricate(spec, 64, 8, seed=1)
+    made.observations[:, :, 1] = 30 + 10 * made.observations[:, :, 1]
+    made.actions[:] = _rule_actions(spec, made.observations[:-1], made.action_masks)
+    learner.imitate(made, 1, 1)
+    policy = acting_policy(configure("happo", model=MODEL, policies="independent"), spec)
+    for seen in made.observations[0, 0]:
+        observed = Observations(np.tile(seen, (1, 2, 1)), made.states[0, :1], np.ones((1, 2), np.bool_))
+        noise = np.full((1, 2, 3), 0.5)
+        outputs = policy.act(learner.acting_parameters(), observed, noise)
+        for one in outputs:
+            np.testing.assert_array_equal(one[:, 0], one[:, 1])
+
+
 def test_steps_of_recurrent_policies_shrink_towards_the_end() -> None:
     """Steps of Adam are proportional to the learning rate."""
     moved = []

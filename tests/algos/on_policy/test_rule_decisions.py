@@ -23,7 +23,9 @@ def _batch(first: int, selected: np.ndarray) -> PolicyBatch:
     """Rows whose observation, three times, action and number are one; those of policy 1 are 1,000 higher."""
     numbers = first + torch.arange(selected.shape[1]).float() + 1_000 * torch.arange(2)[:, None]
     masks = torch.ones(*numbers.shape, 3, dtype=torch.bool)
-    return PolicyBatch(numbers[..., None].repeat(1, 1, 3), masks, numbers.long(), torch.zeros_like(numbers), selected)
+    return PolicyBatch(
+        numbers[..., None].repeat(1, 1, 3), masks, numbers.long(), torch.zeros_like(numbers), selected
+    )
 
 
 def _numbers(decisions: RuleDecisions, policy: int) -> list[int]:
