@@ -11,9 +11,9 @@ from headway_algos.batches.policy_batch import PolicyBatch
 from headway_algos.networks.normalisation import RunningStatistics
 
 CAPACITY, LEAST = 30_000_000, 5_000
-"""Maximum size of the observations kept per seed (120 MB), divided equally among its policies, and the
-minimum number of decisions per policy. As many as possible are kept, since rare decisions limit how well
-policies imitate: a bus goes to service about once per day."""
+"""Maximum number of values in the observations kept per seed (120 MB in float32), divided equally among its
+policies, and the minimum number of decisions per policy. As many as possible are kept, since rare decisions
+limit how well policies imitate: a bus goes to service about once per day."""
 
 
 class RuleDecisions:
@@ -24,7 +24,7 @@ class RuleDecisions:
     """
 
     def __init__(self, replicas: int, policies: int, observation_size: int) -> None:
-        """`replicas`: number R of seeds; `policies`: number K of policies per seed."""
+        """`replicas`: number R of seeds; `policies`: number K per seed; `observation_size`: D."""
         self.capacity = max(CAPACITY // (policies * observation_size), LEAST)
         self.kept: list[dict[str, Tensor]] = [{} for _ in range(replicas * policies)]
         """The sample, which is all state: columns by name for each policy; empty before any decision."""
