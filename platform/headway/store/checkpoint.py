@@ -51,7 +51,7 @@ def checkpoint_bytes(state: Mapping[str, Any]) -> bytes:
 def write_checkpoint(
     directory: Path, iteration: int, content: bytes, gate: Path | None = None, kind: str = "checkpoint"
 ) -> Path:
-    """Write the checkpoint of `iteration` durably and keep the last two.
+    """Write the checkpoint of `iteration` durably; keep the last two, with their replay data.
 
     `gate`: see `headway.store.fencing`; None: write without one. `kind`: `experience` for replay data, which
     are written before the checkpoint that they belong to. Raises HeadwayError if the file cannot be written;
@@ -61,8 +61,12 @@ def write_checkpoint(
     make_folder(directory)
     remove_partial(directory, f"{kind}-")
     write_through(path, lambda stream: stream.write(content), gate)
-    for _, older in _files(directory, kind)[_KEPT:]:
-        discard(older, gate)
+    if kind == "checkpoint":
+        oldest = _files(directory, kind)[:_KEPT][-1][0]
+        for name in _NAMES:
+            for at, older in _files(directory, name):
+                if at < oldest:
+                    discard(older, gate)
     sync_folder(directory)
     return path
 

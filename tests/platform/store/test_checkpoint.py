@@ -15,6 +15,7 @@ from headway.store.checkpoint import (
     load_latest,
     require_same_shapes,
     save_checkpoint,
+    write_checkpoint,
 )
 from headway_algos.registry import ENTRIES, configure
 
@@ -61,6 +62,18 @@ def test_the_last_two_are_kept(tmp_path: Path) -> None:
     kept = sorted(path.name for path in tmp_path.iterdir())
     assert kept == ["checkpoint-000040.pt", "checkpoint-000060.pt"]
     assert latest_iteration(tmp_path) == 60
+
+
+def test_replay_data_are_kept_as_long_as_their_checkpoints(tmp_path: Path) -> None:
+    """Only the first two checkpoints have some, as when a rule has acted in the first iterations."""
+    left = []
+    for iteration in (1, 2, 3, 4):
+        if iteration < 3:
+            write_checkpoint(tmp_path, iteration, b"data", kind="experience")
+        save_checkpoint(tmp_path, iteration, {"at": iteration})
+        left.append(sorted(path.stem for path in tmp_path.glob("experience-*")))
+    first, second = "experience-000001", "experience-000002"
+    assert left == [[first], [first, second], [second], []]
 
 
 @pytest.mark.parametrize("damage", ["cut", "flip", "empty"])
