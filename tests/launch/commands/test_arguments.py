@@ -12,6 +12,7 @@ from headway_launch.commands.arguments import typed_line
     [
         (["bus", "--store", "/lab/a b/runs", "--low", "-3"], "bus --store FOLDER/runs --low -3"),
         (["--out=/lab/page", "--sto", "here/runs", "bus"], "--out=FOLDER/page --sto here/runs bus"),
+        (["-o", "/lab/page", "bus"], "-o FOLDER/page bus"),
         (["env=/lab/shuttle.py", "env.args.town=~/town"], "env=FOLDER/shuttle.py env.args.town=FOLDER/town"),
         (["env=pettingzoo:sisl/pursuit-v5", "./a/b.yaml"], "env=pettingzoo:sisl/pursuit-v5 ./a/b.yaml"),
         (["env.args={a:/x/y,b:[/x/z]}"], "'env.args={a:FOLDER/y,b:[FOLDER/z]}'"),
