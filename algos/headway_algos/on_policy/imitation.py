@@ -40,9 +40,9 @@ def imitate(
     """Raise the likelihood of the actions in `rows`, the decisions of many iterations.
 
     `alike` groups the K policies of a seed whose agents are interchangeable: one network learns from the
-    decisions of all policies of a group, and each of them becomes a copy of it. The learning rate falls to 0
-    over the epochs. Returns metrics (R x groups,) of the last one, NaN for groups without rows. A Gaussian's
-    spread is kept for exploration.
+    decisions of all policies of a group, and each of them becomes a copy of it. The learning rate falls
+    linearly from pass to pass. Returns metrics (R x groups,) of the last one, NaN for groups without rows. A
+    Gaussian's spread is kept for exploration.
     """
     # The group, of R x groups, of each of the P policies, and the first policy of each group.
     group_of = alike.policies(layout.replicas, layout.replicas).ravel()
