@@ -24,9 +24,6 @@ EPOCHS, MINIBATCHES = 16, 1000
 decisions that matter can be rare, such as a bus's visits to the service centre."""
 SEQUENCE_EPOCHS, SEQUENCE_MINIBATCHES = 16, 8
 """Passes of recurrent policies over the sequences of each iteration, and minibatches per pass."""
-ENTROPY_COEFF = 0.3
-"""Weight of the entropy, without which a policy that imitates a deterministic rule no longer explores: with
-two actions the probability of the rule's tends to 0.97 instead of 1."""
 
 
 def imitate(
@@ -113,7 +110,8 @@ def _update(
         model=config.model, lr=LR, grad_clip=None, piece_samples=config.piece_samples
     )
     # With advantages of 1 A2C's loss is the negative log-likelihood.
-    return learned, GradientUpdate(learned, settings, layout, A2CLoss(ENTROPY_COEFF), epochs, minibatches)
+    loss = A2CLoss(config.imitation_entropy_coeff)
+    return learned, GradientUpdate(learned, settings, layout, loss, epochs, minibatches)
 
 
 def _take_over(actor: Actor, learned: Actor, places: NDArray[np.int64]) -> None:

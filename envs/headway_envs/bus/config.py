@@ -177,9 +177,7 @@ class UpkeepConfig:
     """Duration of a service at the service centre, s."""
     service_below: float = 0.5
     """The service centre accepts a bus only if its fuel (as a share of the tank) or uptime is below this; 1:
-    any bus. For other buses SERVICE_CENTER is masked, and acts as MOVE if chosen nevertheless. With 1,
-    training was seen to fail: where more waiting passengers cost no further reward, policies sent buses to
-    service again and again."""
+    any bus. For other buses SERVICE_CENTER is masked, and acts as MOVE if chosen nevertheless."""
     detour_kmh: float = 20.0
     """Speed on the way to the service centre and back, km/h, over 1.3 times the straight-line distance."""
     detour_fixed_s: float = 120.0

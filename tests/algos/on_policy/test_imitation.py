@@ -119,6 +119,20 @@ def test_one_iteration_is_enough_whatever_the_scale_of_observations() -> None:
         assert _agreement(iterations) > 0.95
 
 
+@pytest.mark.parametrize("coeff", [0.3, 1.0])
+def test_the_entropy_coefficient_sets_how_random_the_policy_stays(coeff: float) -> None:
+    """The rule takes one of two actions. Its probability p minimises -log p - coeff H(p): the derivative with
+    respect to the log-odds z, (1 - p) (coeff p z - 1), is 0 at z = 1 / (coeff p)."""
+    spec = replace(SPEC, action_space=Discrete(2))
+    made = fabricate(spec, 64, 64, seed=1)
+    made.actions[:] = 0
+    entropy = _learner("ippo", spec, imitation_entropy_coeff=coeff).imitate(made, 1, 1)["policy/entropy"][0]
+    p = 1.0
+    for _ in range(100):
+        p = 1 / (1 + np.exp(-1 / (coeff * p)))
+    assert entropy == pytest.approx(-p * np.log(p) - (1 - p) * np.log(1 - p), rel=0.02)
+
+
 @pytest.mark.parametrize("groups", [(), ("left", "right")])
 def test_separate_policies_of_one_group_learn_from_the_decisions_of_all(groups: tuple[str, ...]) -> None:
     """Each agent meets states on one side of a plane only, and is asked about those of the other side."""
