@@ -58,6 +58,12 @@ def _refuses(config: AlgoConfig, spec: EnvSpec) -> str | None:
             f"algo.model.log_std is the spread of Box actions, and {spec.name} has {type(actions).__name__} "
             "ones; leave it out"
         )
+    coeff = config.imitation_entropy_coeff
+    if isinstance(actions, Box) and coeff != type(config).imitation_entropy_coeff:
+        return (
+            f"algo.imitation_entropy_coeff is for discrete actions, and {spec.name} has Box ones, whose "
+            "spread is algo.model.log_std; leave it out"
+        )
     if logits and not (isinstance(actions, Discrete) and actions.n == len(logits)):
         count = f"{actions.n} actions" if isinstance(actions, Discrete) else "no Discrete actions"
         remedy = "give one per action, or [] for none" if isinstance(actions, Discrete) else "set it to []"

@@ -214,6 +214,17 @@ def test_a_spread_is_refused_where_actions_have_none() -> None:
     )
 
 
+def test_entropy_of_imitation_is_refused_where_actions_are_continuous() -> None:
+    entry = ENTRIES["ippo"]
+    config = entry.config(imitation_entropy_coeff=0.2)
+    assert entry.refuses(config, SPEC) is None
+    line = entry.refuses(config, replace(SPEC, action_space=Box((-1.0,), (1.0,))))
+    assert line == (
+        "algo.imitation_entropy_coeff is for discrete actions, and made has Box ones, whose spread is "
+        "algo.model.log_std; leave it out"
+    )
+
+
 NAMED = [name for name in ENTRIES if name not in ("a3c", "custom", "madqn", "ddpg")]
 
 

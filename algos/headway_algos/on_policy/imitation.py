@@ -38,7 +38,7 @@ def imitate(
 
     `alike` groups the K policies of a seed whose agents are interchangeable: one network learns from the
     decisions of all policies of a group, and each of them becomes a copy of it. The learning rate falls
-    linearly from pass to pass. Returns metrics (R x groups,) of the last one, NaN for groups without rows. A
+    linearly from pass to pass. Returns metrics (R x groups,) of the last pass, NaN for groups without rows. A
     Gaussian's spread is kept for exploration.
     """
     # The group, of R x groups, of each of the P policies, and the first policy of each group.

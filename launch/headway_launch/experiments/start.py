@@ -28,10 +28,14 @@ _OF_CRITICS = ("critic", "normalise_values")
 def start_rule(experiment: Experiment, environment: PreparedEnv) -> Rule | None:
     """Return the rule `start.rule` for the training environment; None if there is none.
 
-    Raises HeadwayError if the environment has no such rule, or if it or the algorithm cannot be used.
+    Raises HeadwayError if the environment has no such rule, if it or the algorithm cannot be used, or if
+    there is none and a key that applies to a rule is set.
     """
     name, env_id = experiment.config.start.rule, experiment.config.env.id
     if name is None:
+        config, key = experiment.algo_config, "imitation_entropy_coeff"
+        if getattr(config, key, None) != getattr(type(config), key, None):
+            raise HeadwayError(f"algo.{key} applies to a rule: set start.rule too, or leave this out")
         return None
     require_rule(name, env_id, experiment.training_env)
     _require_start(experiment, "start.rule")

@@ -308,6 +308,15 @@ def test_budgets_of_a_start_that_leave_nothing_to_learn_are_refused(words: list[
         compose(["env=trivial", "algo=ippo", "env_steps=9000", *words])
 
 
+def test_the_entropy_of_imitation_is_refused_without_a_rule() -> None:
+    words = ["env=trivial", "algo=ippo", "algo.imitation_entropy_coeff=0.2"]
+    with pytest.raises(
+        HeadwayError, match=r"^algo\.imitation_entropy_coeff applies to a rule: set start.rule"
+    ):
+        plan_jobs(compose(words))
+    plan_jobs(compose([*words, "start.rule=optimal", "start.env_steps=9"]))
+
+
 def test_a_critic_may_learn_first_in_all_iterations_but_one() -> None:
     words = ["start.rule=optimal", "start.env_steps=9", "start.critic_iterations=7", *THOUSANDS]
     assert compose(["env=trivial", "algo=ippo", "env_steps=9000", *words]).config.rule_iterations == 1
