@@ -100,6 +100,11 @@ class AlgoConfig(LearnerConfig):
     Base of the records of critics, updates and orders.
     """
 
+    VALUES_BEFORE: ClassVar[Mapping[str, object]] = {
+        **LearnerConfig.VALUES_BEFORE,
+        "imitation_entropy_coeff": 0.3,
+    }
+
     name: str = "custom"
     """Name in the registry: see `headway list algos`."""
     critic: str = "local"

@@ -97,7 +97,7 @@ def hashed_parameters(algorithm: str, parameters: Mapping[str, str]) -> Mapping[
         return parameters
     obsolete = {f"algo.{key}": str(value) for key, value in entry.obsolete_keys.items()}
     before = {f"algo.{key}": str(value) for key, value in getattr(entry.config, "VALUES_BEFORE", {}).items()}
-    return {**obsolete, **{key: value for key, value in parameters.items() if before.get(key) != value}}
+    return {key: value for key, value in {**obsolete, **parameters}.items() if before.get(key) != value}
 
 
 def rule_names(env: EnvEntry) -> tuple[str, ...]:

@@ -53,12 +53,15 @@ def _recording(record: Any, read: set[str], prefix: str = "") -> Any:  # noqa: A
 
 
 def _read_keys(name: str, settings: dict[str, Any], spec: EnvSpec) -> set[str]:
-    """Return the keys that an algorithm reads while its learner and policy are made and updated twice."""
+    """Return the keys that an algorithm reads while its learner and policy are made, imitate a rule if they
+    can, and are updated twice."""
     read: set[str] = set()
     entry, config = ENTRIES[name], _recording(configure(name, **settings), read)
     learner = entry.learner(config, spec, (1,), "cpu")
     entry.acting_policy(config, spec)
     size = UNITS if getattr(config.model, "core", "none") == "gru" else 0
+    if entry.starts:
+        learner.imitate(fabricate(spec, 6, 2, 9, hidden_size=size), 1, 1)
     for iteration, progress in enumerate((0.0, 0.6)):
         learner.update(fabricate(spec, 6, 2, iteration, hidden_size=size), iteration + 1, progress)
     return read

@@ -36,8 +36,14 @@ RECIPE = Recipe(
     update="a2c",
     order="simultaneous",
     critic_update="adam",
-    # Each rollout gives one gradient; a shared policy cannot be split.
-    fixed={"epochs": 1, "minibatches": 1, "shared_until": 0.0, "apart_lr": 1.0},
+    # Each rollout gives one gradient; a shared policy cannot be split; training cannot start from a rule.
+    fixed={
+        "epochs": 1,
+        "minibatches": 1,
+        "shared_until": 0.0,
+        "apart_lr": 1.0,
+        "imitation_entropy_coeff": 0.3,
+    },
     config=A3CConfig,
     # Four workers of two copies each, which send a gradient every 64 environment steps.
     rollout={"copies": 8, "steps": 32, "block": 2},
