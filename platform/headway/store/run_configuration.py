@@ -1,6 +1,7 @@
 """The configuration in a run's folder, in the form of this version."""
 
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,7 @@ def require_small_yaml(text: str) -> None:
 def upgraded(mapping: Mapping[str, Any]) -> dict[str, Any]:
     """Return a configuration stored by an earlier version in the form of this version.
 
-    Newer hyper-parameters are set to the value that reproduces the old behaviour.
+    Newer hyper-parameters that the algorithm has are set to the value that reproduces the old behaviour.
     """
     store = mapping.get("store")
     if isinstance(store, Mapping) and isinstance(uri := store.get("tracking_uri"), str):
@@ -75,4 +76,6 @@ def upgraded(mapping: Mapping[str, Any]) -> dict[str, Any]:
     entry = algo_entries().get(algo.get("name", "")) if isinstance(algo, Mapping) else None
     if entry is None or not isinstance(algo, Mapping):
         return dict(mapping)
-    return {**mapping, "algo": {**getattr(entry.config, "VALUES_BEFORE", {}), **algo}}
+    own = {each.name for each in fields(entry.config)}
+    before = {key: value for key, value in getattr(entry.config, "VALUES_BEFORE", {}).items() if key in own}
+    return {**mapping, "algo": {**before, **algo}}

@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 
-from headway.registry import hashed_parameters
+from headway.registry import algo_entries, hashed_parameters
+from headway.store.run_configuration import upgraded
 from headway_launch.experiments.compose import compose, resolve
 from headway_launch.experiments.parameters import cell_parameters, flat, full_mapping
 
@@ -53,3 +54,10 @@ def test_a_run_of_the_same_settings_today_is_in_the_same_cell(name: str) -> None
     kept = {key: mapping[key] for key in ("env_steps", "device", "env", "rollout")}
     parameters = {key: str(value) for key, value in flat({**kept, "algo": then})}
     assert hashed_parameters(name, parameters) == hashed_parameters(name, today) == parameters
+
+
+@pytest.mark.parametrize("name", algo_entries())
+def test_a_stored_configuration_is_accepted(name: str) -> None:
+    env = "tracking" if name == "ddpg" else "trivial"
+    mapping = full_mapping(compose([f"env={env}", f"algo={name}"]), (1,))
+    assert resolve(upgraded(mapping)).algo_config == resolve(mapping).algo_config
